@@ -56,6 +56,14 @@ class Estimator:
                     f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
                 )
         number_setting("estimator", "tolerance", self.tolerance, low=0.0)
+        grid = self.library.grid
+        on_grid = self.readout.refine == "none" or not grid.lower < grid.upper
+        if self.library.unknown and (on_grid or self.readout.mean_velocity == "paper"):
+            raise InputError(
+                f"estimator: unknown {self.library.unknown[0]!r} is measured off the grid alone: "
+                "set readout refine 'variable-projection' and mean_velocity 'rms', and give the "
+                "grid more than one scale"
+            )
         if self.free != "auto":
             if isinstance(self.free, str) or not isinstance(self.free, Sequence):
                 raise InputError(f'estimator: free must be "auto" or names, not {self.free!r}')
@@ -134,29 +142,21 @@ class Estimator:
 
     def _on_grid(self, prepared: Prepared, fit: Fit) -> tuple[dict[str, Any], Verdict | None]:
         """Fields of the estimate from the modes on the grid, and what speaks against them."""
-        from sparsefit.likelihood.vehicle_estimate import on_grid
         from sparsefit.model import read_grid
 
         flights = (prepared.parts, prepared.vehicles, self.library)
-        reading = read_grid(fit, *flights, self.readout, prepared.weights, prepared.once)
+        read, flow = read_grid(fit, *flights, self.readout, prepared.weights, prepared.once)
         scales = []
-        for own in reading.scales:
+        for own in read:
             speed, scale = own.mean_velocity, own.length_scale
             timescale = scale / speed if speed else math.nan
             scales.append(ScaleEstimate(speed, scale, timescale, scale, heading=own.heading))
-        first, parts = scales[0], dict[str, Any](flow=reading.flow)
+        first, parts = scales[0], dict[str, Any](flow=flow)
         parts |= {
             name: getattr(first, name) for name in ("mean_velocity", "length_scale", "heading")
         }
         if self.readout.scales == "several":
             parts["scales"] = tuple(scales)
-        if any(vehicle is None for vehicle, _ in reading.vehicles):
-            words = "the vehicle that fits best cannot be; fly longer, or give the response time"
-            return parts, Verdict("unidentifiable", words, Doubt.VEHICLE)
-        if len(reading.vehicles) == 1:
-            vehicle, background = reading.vehicles[0]
-            assert vehicle is not None
-            parts |= on_grid(vehicle, background, self.library.unknown)
         if not 0 < first.mean_velocity < math.inf:
             words = f"readout {self.readout.mean_velocity!r} gave {first.mean_velocity:g}"
             words = f"no mean velocity: {words}"
@@ -172,6 +172,7 @@ class Estimator:
         """
         from sparsefit.estimator.judge import doubts_of_flow, doubts_of_logs
         from sparsefit.estimator.measure import measure_flow
+        from sparsefit.model import propose
 
         several, precision = self.readout.scales == "several", self.readout.precision
         search, parts = prepared.search, dict[str, Any]()
@@ -180,9 +181,9 @@ class Estimator:
             return parts, early
         start = self.readout.start(search, fit, self.library)
         shapes = self.readout.refine == "ladder" or self.library.family == "waves"
-        proposals = prepared.once(start, lambda: search.propose(start))
+        proposals = prepared.once(start, lambda: propose(search, start))
         # Starts that end in the same lobes share one measurement, which is most of an estimate.
-        lobes = (own.lobe(search.lookout.extent) for own in proposals)
+        lobes = (own.lobe(search.extent) for own in proposals)
         result = prepared.once(
             (*lobes, self.free, shapes),
             lambda: measure_flow(prepared, proposals, self.free, shapes=shapes),

@@ -235,7 +235,7 @@ def measure_flow(
     constants = [
         own for name in names for own in FREEDOMS[name].elements if not FREEDOMS[name].wanders
     ]
-    near = NEAR * math.pi / prepared.search.lookout.extent
+    near = NEAR * math.pi / prepared.search.extent
     least, grid = min(own.residual for own in proposals), prepared.library.grid
     likely = []
     for own in proposals:
@@ -374,7 +374,7 @@ def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior)
     nothing = fitted(logs, with_process(calm, gusts))
     if nothing is None:
         return -math.inf
-    odds = max(len(prepared.search.lookout.lobes), 1) / FALSE_ALARM
+    odds = max(len(prepared.search.lobes), 1) / FALSE_ALARM
     chance = 2 * math.log(odds) + len(pattern.names)
     return 2 * (posterior.log_likelihood - nothing.log_likelihood) - chance
 

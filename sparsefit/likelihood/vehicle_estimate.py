@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -92,9 +91,3 @@ def model_of(
     own = {"response_time": tau, "thrust_scale": scale, "thrust_bias_x": x, "thrust_bias_y": y}
     own |= {"quadratic_drag": vehicle.drag * tau, "wind_x": wind[0], "wind_y": wind[1]}
     return Model(pattern, own)
-
-
-def on_grid(vehicle: PointMassVehicle, wind: Pair, unknown: Sequence[str]) -> dict[str, Any]:
-    """The fields of `VehicleEstimate` that a library says are unknown, from the grid's weights."""
-    values = {name: getattr(vehicle, name) for name in unknown if name != "wind"}
-    return values | ({"wind": wind} if "wind" in unknown else {})

@@ -2,14 +2,14 @@
 
 from sparsefit.model.columns import CANDIDATES, candidate_columns
 from sparsefit.model.grid import LengthScaleGrid
+from sparsefit.model.ladder import Proposal, Start, propose
 from sparsefit.model.library import TARGET_NAMES, Library
-from sparsefit.model.readout import GridReading, Readout, read_grid
-from sparsefit.model.search import Proposal, Search, Start, flight_weights
+from sparsefit.model.readout import Readout, read_grid
+from sparsefit.model.search import Search, flight_weights
 
 __all__ = [
     "CANDIDATES",
     "TARGET_NAMES",
-    "GridReading",
     "LengthScaleGrid",
     "Library",
     "Proposal",
@@ -18,5 +18,6 @@ __all__ = [
     "Start",
     "candidate_columns",
     "flight_weights",
+    "propose",
     "read_grid",
 ]

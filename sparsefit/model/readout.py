@@ -13,7 +13,6 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
@@ -26,10 +25,10 @@ from sparsefit.model.columns import (
     wave_theta,
 )
 from sparsefit.model.grid import Bounds, extent_of, middle
+from sparsefit.model.ladder import Start, Window
 from sparsefit.model.library import Library
-from sparsefit.model.search import Search, Start
+from sparsefit.model.search import Search
 from sparsefit.model.shapes import read_cells
-from sparsefit.model.unknowns import JointUnknowns, Read
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples
@@ -42,7 +41,6 @@ Scales = Literal["one", "several"]
 
 UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
 MOST_SCALES, MOST_WAVES = 6, 12  # that are read: of several length scales, and of waves
-Window = tuple[float, float, float]  # the wavenumber of a candidate, from where, and to where
 
 
 @dataclass(frozen=True)
@@ -114,18 +112,17 @@ class Readout:
 
     def start(self, search: Search, fit: Fit, library: Library) -> Start:
         """The start of a search that the weights of a fit propose."""
-        lookout = search.lookout
         if library.family == "waves":
-            peaks = wave_peaks(*_waves_of(fit), lookout.extent, MOST_WAVES)[1].tolist()
+            peaks = wave_peaks(*_waves_of(fit), search.extent, MOST_WAVES)[1].tolist()
             return Start(self.refine, waves=tuple((x, y) for x, y in peaks))
         if self.scales == "several":
-            lobe = 2 * math.pi / lookout.extent
-            return Start(self.refine, windows=windows(fit, lobe, lookout.bounds))
-        if not len(lookout.lobes):
+            lobe = 2 * math.pi / search.extent
+            return Start(self.refine, windows=windows(fit, lobe, search.bounds))
+        if not len(search.lobes):
             return Start(self.refine)
         by_scale = self.by_scale(fit, library)
         candidate = math.pi / max(by_scale, key=lambda scale: by_scale[scale])
-        nearest = lookout.lobes[np.abs(lookout.lobes - candidate).argmin()]
+        nearest = search.lobes[np.abs(search.lobes - candidate).argmin()]
         return Start(self.refine, float(nearest))
 
 
@@ -162,23 +159,6 @@ class GridScale:
     heading: float = math.nan
 
 
-@dataclass(frozen=True, eq=False)
-class GridReading:
-    """The parameters on the grid.
-
-    Args:
-        scales: of each mode, fastest first.
-        flow: that the weights say; None where they are not those of a flow velocity, or no vehicle
-            could have flown so.
-        vehicles: of each flight with its unknowns, None of one that cannot be, and the steady
-            velocity [m/s] beside the flow; empty where all is known.
-    """
-
-    scales: tuple[GridScale, ...]
-    flow: CandidateFlow | WaveFlow | None
-    vehicles: tuple[Read, ...] = ()
-
-
 def read_grid(
     fit: Fit,
     flights: Sequence[Samples],
@@ -187,84 +167,88 @@ def read_grid(
     readout: Readout,
     weights: Sequence[float] = (1.0,),
     once: Callable[[object, Callable[[], Any]], Any] = lambda key, work: work(),
-) -> GridReading:
-    """The parameters of the modes that a fit's weights choose, where they are on the grid.
+) -> tuple[tuple[GridScale, ...], CandidateFlow | WaveFlow | None]:
+    """The modes that a fit's weights choose on the grid, fastest first, and their flow.
 
-    weights: of the rows of each flight; once: the result of work under a key, computed once for
-    all fits of these flights by this library. Raises InputError where the flight does not move.
+    The modes are fitted together to the rows of the regression. The flow is what the weights say;
+    None where they are not those of a flow velocity.
+
+    Args:
+        fit: of the regression problem of the flights.
+        flights: the samples of each.
+        vehicles: of each.
+        library: of the problem.
+        readout: the way from weights to parameters.
+        weights: of the rows of each flight.
+        once: returns the result of work under a key, computed once for all fits of these flights.
+
+    Raises:
+        InputError: where the flight does not move.
     """
+
+    def refitted(theta: Callable[[Array], Array], *, shared: bool) -> Array:
+        """Weights of columns; shared: rows x before y of each sample, as of a stream function."""
+        parts = []
+        for samples, vehicle, weight in zip(flights, vehicles, weights, strict=True):
+            source = samples.source
+            phi = source.flow_velocity(vehicle)
+            columns = source.averaged(theta(source.position))
+            parts.append((weight * columns, weight * (phi.reshape(-1, 1) if shared else phi)))
+        columns, target = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return _least_squares(columns, target)
+
     position = np.concatenate([samples.position for samples in flights])
-    several, extent = readout.scales == "several", extent_of(position)
-    averaged = any(samples.averages for samples in flights)
-    if not (several or library.unknown or averaged or library.family == "waves"):
-        weights = (1.0,) * len(flights)
-    unknowns = JointUnknowns.of(library.unknown, vehicles)
-    rows = _Rows(flights, vehicles, unknowns, weights)
+    extent = extent_of(position)
     if library.family == "waves":
-        return _read_waves(fit, rows, extent)
+        k, own = _waves_of(fit)
+        tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
+        top = refitted(lambda place: wave_theta(place, k[tops]), shared=True)
+        cells, used = read_cells(k[tops], top.reshape(-1, 2)), own.any(axis=1)
+        reading = GridScale(cells.mean_velocity, cells.length_scale, cells.heading)
+        return (reading,), WaveFlow(k[used], *own[used].T)
+    origin = middle(np.concatenate([samples.source.position for samples in flights]))
+
+    def cells_at(k: Array) -> Array:
+        """Weights (s, 8, 2) [m/s] of cells of wavenumbers k (s,), phases from the origin."""
+        scales = np.pi / k
+        own = refitted(lambda place: candidate_columns(place - origin, scales), shared=False)
+        return own.reshape(len(k), 8, 2)
+
+    several = readout.scales == "several"
     if several:
         if not extent > 0:
             raise InputError("the flight does not move: no length scale can be told; fly farther")
         places = windows(fit, 2 * math.pi / extent, (0.0, math.inf))
         k = np.array([place[0] for place in places])
-        speeds = np.array([rms_mean_velocity(mode) for mode in rows.cells(k)[0]])
+        speeds = np.array([rms_mean_velocity(mode) for mode in cells_at(k)])
         k = k[speeds >= 0.05 * speeds.max()]  # systematic errors of a derivative reach 2 %
     else:
         by_scale = readout.by_scale(fit, library)
         k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
-    own, coefficients = once((*k.tolist(), *weights), lambda: rows.cells(k))
-    own, pairs = own / rows.ratio(coefficients), unknowns.read(coefficients)
-    possible = all(vehicle is not None for vehicle, _ in pairs)
+
+    def paper_velocity() -> float:
+        pairs = list(zip(flights, vehicles, strict=True))
+        phi = [samples.flow_velocity(vehicle) for samples, vehicle in pairs]
+        target = [library.response(samples, vehicle)[:, -2:] for samples, vehicle in pairs]
+        columns = candidate_columns(position, np.pi / k)
+        field = columns @ _least_squares(columns, np.concatenate(target))
+        return paper_mean_velocity(field, np.concatenate(phi), readout.eq24)
+
     if readout.mean_velocity == "paper":
-        key, eq24 = (readout.eq24, *k.tolist()), readout.eq24
-        speeds = np.array([once(key, lambda: _paper_velocity(rows, library, eq24, k, pairs))])
-    elif several or possible:
-        speeds = np.array([rms_mean_velocity(mode) for mode in own])
+        speeds = np.array([once((readout.eq24, *k.tolist()), paper_velocity)])
     else:
-        speeds = np.array([math.nan])
+        own = once((*k.tolist(), *weights), lambda: cells_at(k))
+        speeds = np.array([rms_mean_velocity(mode) for mode in own])
     scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in np.argsort(-speeds))
-    flow: CandidateFlow | None = None
-    if several and possible:
-        flow = CandidateFlow(k, own, rows.origin, pairs[0][1] if pairs else (0.0, 0.0))
-    elif not several and library.target == "flow-velocity" and not library.unknown:
-        assert fit.problem.group_scales is not None
-        weighed = fit.weights.reshape(len(fit.problem.group_scales), 8, -1)
-        used = weighed.any(axis=(1, 2))
-        flow = CandidateFlow(math.pi / fit.problem.group_scales[used], weighed[used], np.zeros(2))
-    return GridReading(scales, flow, pairs)
-
-
-def _read_waves(fit: Fit, rows: _Rows, extent: float) -> GridReading:
-    """Waves on the grid: U0 and L of their peaks, fitted together, and their sum as the flow."""
-    k, own = _waves_of(fit)
-    tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
-    weights, coefficients = rows.fitted(lambda place: wave_theta(place, k[tops]), shared=True)
-    ratio, used = rows.ratio(coefficients), own.any(axis=1)
-    cells = read_cells(k[tops], weights.reshape(-1, 2) / ratio)
-    flow = WaveFlow(k[used], *(own[used] / ratio).T)
-    reading = GridScale(cells.mean_velocity, cells.length_scale, cells.heading)
-    return GridReading((reading,), flow, rows.unknowns.read(coefficients))
-
-
-def _paper_velocity(
-    rows: _Rows, library: Library, eq24: Eq24, k: Array, pairs: tuple[Read, ...]
-) -> float:
-    """U0 by Eqs. 22-24 at k (1,), by the vehicles that fit best where these are unknown."""
-    vehicles, background = list(rows.vehicles), np.zeros(2)
-    phi, target = [], []
-    for number, samples in enumerate(rows.flights):
-        if pairs:
-            vehicle, steady = pairs[number]
-            if vehicle is None:
-                return math.nan
-            vehicles[number], background = vehicle, np.array(steady)
-        phi.append(samples.flow_velocity(vehicles[number]) - background)
-        own = phi[-1] if pairs else library.response(samples, vehicles[number])
-        target.append(own[:, -2:])
-    position = np.concatenate([samples.position for samples in rows.flights])
-    columns = candidate_columns(position, np.pi / k)
-    field = columns @ _least_squares(columns, np.concatenate(target))
-    return paper_mean_velocity(field, np.concatenate(phi), eq24)
+    if several:
+        return scales, CandidateFlow(k, own, origin)
+    if library.target != "flow-velocity":
+        return scales, None
+    assert fit.problem.group_scales is not None
+    weighed = fit.weights.reshape(len(fit.problem.group_scales), 8, -1)
+    used = weighed.any(axis=(1, 2))
+    flow = CandidateFlow(math.pi / fit.problem.group_scales[used], weighed[used], np.zeros(2))
+    return scales, flow
 
 
 def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
@@ -279,62 +263,6 @@ def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
         if eq24 == "mean-ratio":
             return float(np.mean(flow_velocity / normal))
         return float(np.sum(flow_velocity * normal) / np.sum(normal * normal))
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The rows of the regression of flights, to refit a few modes on.
-
-    Args:
-        flights: the samples of each.
-        vehicles: of each, as they are believed to be.
-        unknowns: of all flights.
-        weights: of the rows of each flight.
-    """
-
-    flights: Sequence[Samples]
-    vehicles: Sequence[PointMassVehicle]
-    unknowns: JointUnknowns
-    weights: Sequence[float]
-
-    @cached_property
-    def origin(self) -> Array:
-        """The place (2,) [m] from which the phases of cells count."""
-        return middle(np.concatenate([samples.source.position for samples in self.flights]))
-
-    def cells(self, k: Array) -> tuple[Array, Array]:
-        """Weights (s, 8, 2) [m/s] of cells of wavenumbers k (s,), phases from the origin."""
-        scales, origin = np.pi / k, self.origin
-        weights, coefficients = self.fitted(
-            lambda position: candidate_columns(position - origin, scales), shared=False
-        )
-        return weights.reshape(2, len(k), 8).transpose(1, 2, 0), coefficients
-
-    def fitted(self, theta: Callable[[Array], Array], *, shared: bool) -> tuple[Array, Array]:
-        """Weights of the columns and coefficients of the unknowns, by least squares.
-
-        shared: whether both velocity components share their weights, theta with rows x before y of
-        each sample; else weights of x come before those of y.
-        """
-        sources = [samples.source for samples in self.flights]
-        others, parts, targets = self.unknowns.columns(sources), [], []
-        for number, source in enumerate(sources):
-            columns = source.averaged(theta(source.position))
-            own, target = others[number], source.flow_velocity(self.vehicles[number])
-            if not shared:
-                own, target = own.swapaxes(0, 1), target.T
-            both = columns if shared else np.asarray(np.kron(np.eye(2), columns), dtype=float)
-            joint = np.hstack([both, own.reshape(len(both), -1)])
-            parts.append(self.weights[number] * joint)
-            targets.append(self.weights[number] * target.ravel())
-        solution = _least_squares(np.concatenate(parts), np.concatenate(targets))
-        count = len(solution) - others[0].shape[2]
-        return solution[:count], solution[count:]
-
-    def ratio(self, coefficients: Array) -> float:
-        """Phi of the believed vehicle over the true one's, where one flight tells it."""
-        ratios = self.unknowns.ratios(coefficients)
-        return ratios[0] if len(ratios) == 1 else 1.0
 
 
 def _waves_of(fit: Fit) -> tuple[Array, Array]:

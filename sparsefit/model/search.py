@@ -1,8 +1,8 @@
-"""The search: which shapes of flow flights bear out, as starts for the likelihood that measures.
+"""The rows of the search, and what scans say of them: where waves may be, and what is noise.
 
-Rows are thinned samples of the flow velocity; the ladder of shapes (`sparsefit.model.ladder`) is
-climbed on them. Precision, and the choice among what is close, are the likelihood's. A track that
-is too long for the least length scale is refused at once.
+Rows are thinned samples of the flow velocity Phi. A Fourier scan of cells along the axes, and one
+of the whole plane, shows where waves may be. The residual of a fit is noise where it has no more
+power than elsewhere at the frequencies of Phi, and no wave explains more of it than chance does.
 """
 
 from __future__ import annotations
@@ -14,89 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.flight.waves import WaveFlow
 from sparsefit.model.fitting import FlowRows, ShapeFit, fitted
-from sparsefit.model.grid import extent_of, middle
-from sparsefit.model.ladder import Ladder, Lookout
+from sparsefit.model.grid import Bounds, extent_of, middle
 from sparsefit.model.library import Library
-from sparsefit.model.scan import line_steps
+from sparsefit.model.scan import WaveScan, axis_gains, line_steps, peaks
 from sparsefit.model.shapes import AXIS
-from sparsefit.model.unknowns import JointUnknowns
+from sparsefit.model.unknowns import UnknownColumns, side_by_side
 from sparsefit.rows import Samples
 
 CORRELATION = 5.0  # samples: errors of smoothed derivatives and of positions are not white
-ROUNDS, LEAST_LEVEL = 2, 1e-3  # of weighing flights; of the largest level of noise
-
-
-@dataclass(frozen=True)
-class Start:
-    """The proposals of a back-end's weights, hashable: equal ones lead to equal answers.
-
-    Args:
-        refine: ``variable-projection`` or ``ladder``.
-        lobe: the wavenumber [1/m] of the scan's lobe nearest to a candidate scale; 0: none.
-        windows: wavenumbers (k, low, high) [1/m] of several length scales, strongest first.
-        waves: wavevectors (k_x, k_y) [rad/m] of a wave library, strongest first.
-    """
-
-    refine: str = "ladder"
-    lobe: float = 0.0
-    windows: tuple[tuple[float, float, float], ...] = ()
-    waves: tuple[tuple[float, float], ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """A flow that the rows bear out: psi = sum a cos(phi) + b sin(phi), phi = k.(x - c t).
-
-    Args:
-        shape: ``axis``, ``square``, ``rectangle``, ``pair`` or ``several``.
-        wavevectors: k (j, 2) [rad/m].
-        cosine: a (j,) [m^2/s], in the flight's own coordinates and time.
-        sine: b (j,) [m^2/s].
-        drift: c [m/s], (0, 0) where it stands.
-        drifting: whether the shape may drift.
-        residual: RSS of the rows over |Phi|^2.
-        bic: n ln RSS + p ln n.
-        vehicles: of each flight with its unknowns as the rows have them; as believed where the
-            rows say what cannot be.
-        background: the steady uniform velocity beside the flow [m/s], of the first flight.
-    """
-
-    shape: str
-    wavevectors: Array
-    cosine: Array
-    sine: Array
-    drift: tuple[float, float]
-    drifting: bool
-    residual: float
-    bic: float
-    vehicles: tuple[PointMassVehicle, ...]
-    background: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def flow(self) -> WaveFlow:
-        """The flow that is proposed."""
-        return WaveFlow(self.wavevectors, self.cosine, self.sine, self.wavevectors @ self.drift)
-
-    def lobe(self, extent: float) -> tuple[str, bool, bytes]:
-        """A key that proposals share whose phases differ by some 1e-6 over an extent [m]."""
-        phases = np.append(self.wavevectors * extent, self.drift)
-        return self.shape, self.drifting, (np.round(phases, 6) + 0.0).tobytes()
-
-    @property
-    def mean_velocity(self) -> float:
-        """U0 [m/s]."""
-        return self.flow.mean_velocity
-
-    @property
-    def length_scale(self) -> float:
-        """L [m] of its two strongest waves."""
-        squares = np.sum(self.wavevectors**2, axis=1)
-        order = np.argsort(-squares * (self.cosine**2 + self.sine**2), kind="stable")[:2]
-        return math.pi * math.sqrt(2.0 / float(np.mean(squares[order])))
+EXACT = 1e-6  # a share of |Phi|^2 that smoothing takes: less tells no shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,15 +34,19 @@ class Search:
     """The search for a library's flow in one flight, or in several through one flow.
 
     Args:
-        lookout: thinned rows and their scans.
+        rows: thinned samples, counted from the origin.
+        bounds: of the wavenumber k = pi/L [1/m].
+        worth: how many rows, of both components, count where errors correlate.
         origin: (x, y, t) from which the rows count.
         unknowns: the columns of each flight's unknowns.
         counts: the rows of each flight.
     """
 
-    lookout: Lookout
+    rows: FlowRows
+    bounds: Bounds
+    worth: float
     origin: Array
-    unknowns: JointUnknowns
+    unknowns: tuple[UnknownColumns, ...]
     counts: tuple[int, ...]
 
     @classmethod
@@ -127,7 +61,6 @@ class Search:
 
         Raises InputError where the flights do not move, or are too long for the least length scale.
         """
-        weights = tuple(weights) or (1.0,) * len(flights)
         position = np.concatenate([samples.position for samples in flights])
         extent, least = extent_of(position), library.grid.lower
         if not extent > 0:
@@ -137,7 +70,6 @@ class Search:
                 f"a length scale of {least:.3g} m is too small for a flight of {extent:.3g} m: "
                 "too many lobes; raise the grid's lower bound"
             )
-        unknowns = JointUnknowns.of(library.unknown, vehicles)
         time = np.concatenate([samples.time for samples in flights])
         origin = np.array([*middle(position), 0.5 * (time.min() + time.max())])
         thin, worth = [], 0.0
@@ -153,62 +85,108 @@ class Search:
             stride = max(int(0.5 * correlation), min(far, len(way) // most))
             thin.append(samples.every(max(1, stride, len(way) // 6_000)))
         counts = tuple(len(samples.time) for samples in thin)
-        own = np.repeat(np.array(weights, dtype=float), counts)
+        own = np.repeat(np.array(weights or [1.0] * len(flights), dtype=float), counts)
         place = [np.column_stack([samples.position, samples.time]) for samples in thin]
         phi = [
             samples.flow_velocity(vehicle) for samples, vehicle in zip(thin, vehicles, strict=True)
         ]
+        unknowns = tuple(UnknownColumns(library.unknown, vehicle) for vehicle in vehicles)
         rows = FlowRows(
             np.concatenate(place) - origin,
             own[:, None] * np.concatenate(phi),
-            own[:, None, None] * np.concatenate(unknowns.columns(thin)),
+            own[:, None, None] * side_by_side(unknowns, thin),
             own if len(flights) > 1 else None,
         )
-        worth = min(worth, 2.0 * len(own))
-        return cls(Lookout(rows, library.bounds, worth), origin, unknowns, counts)
+        return cls(rows, library.bounds, min(worth, 2.0 * len(own)), origin, unknowns, counts)
 
-    def propose(self, start: Start) -> tuple[Proposal, ...]:
-        """The flows that the rows bear out, best first, rivals included; none where none is."""
-        ladder = Ladder(self.lookout)
-        if start.windows:
-            ladder.length_scales(start.windows)
-        else:
-            if not len(self.lookout.lobes):
-                return ()
-            ladder.lines(start.lobe)
-            if start.refine == "ladder":
-                ladder.climb(np.array(start.waves).reshape(-1, 2))
-            elif start.waves:
-                ladder.tried.clear()
-                ladder.join(np.array(start.waves))
-        return tuple(self._proposal(*ranked) for ranked in ladder.ranked())
+    @cached_property
+    def extent(self) -> float:
+        """The larger side of the bounding box of the rows [m]."""
+        return extent_of(self.rows.place[:, :2])
 
-    def _proposal(self, fit: ShapeFit, bic: float) -> Proposal:
-        """A fit in the flight's own coordinates, amplitudes of the vehicle that fits best."""
-        shift = fit.phases * (1.0, 1.0, -1.0) @ self.origin
-        a, b = fit.weights.reshape(-1, 2).T
-        cosine = a * np.cos(shift) - b * np.sin(shift)
-        sine = a * np.sin(shift) + b * np.cos(shift)
-        read = self.unknowns.read(fit.coefficients)
-        pairs = zip(read, self.unknowns.ratios(fit.coefficients), strict=True)
-        possible = [(steady, own) for (vehicle, steady), own in pairs if vehicle is not None]
-        ratio = float(np.mean([own for _, own in possible])) if possible else 1.0
-        vehicles = [part.believed for part in self.unknowns.parts]
-        if read:
-            vehicles = [own or other for (own, _), other in zip(read, vehicles, strict=True)]
-        drift = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else (0.0, 0.0)
-        return Proposal(
-            fit.shape.name,
-            fit.phases[:, :2],
-            cosine / ratio,
-            sine / ratio,
-            drift,
-            fit.shape.drifting,
-            fit.residual / self.lookout.rows.square,
-            bic,
-            tuple(vehicles),
-            possible[0][0] if possible else (0.0, 0.0),
+    @cached_property
+    def lobes(self) -> Array:
+        """Wavenumbers k (l,) [1/m] of cells along the axes that leave least, deepest first."""
+        return self.line(self.rows.rest)
+
+    def line(self, rest: Array) -> Array:
+        """The wavenumbers (l,) of the minima of what one mode of cells more leaves of errors."""
+        if not self.bounds[0] < self.bounds[1]:
+            return np.array([self.bounds[0]])
+        k, gains = axis_gains(self.rows.place[:, :2], rest, self.bounds, self.rows.weight)
+        places = peaks(gains)[:, 0]
+        before, here, after = (
+            gains[np.clip(places + shift, 0, len(k) - 1)] for shift in (-1, 0, 1)
         )
+        bow = 2 * here - before - after  # of the parabola through three points, highest at:
+        offset = np.where(bow > 0, 0.5 * (after - before) / np.where(bow > 0, bow, 1.0), 0.0)
+        lobes: Array = np.clip(k[places] + (k[1] - k[0]) * np.clip(offset, -0.5, 0.5), *self.bounds)
+        return lobes
+
+    @cached_property
+    def radii(self) -> Bounds:
+        """The bounds of |k| of the waves of square cells [rad/m]."""
+        return math.sqrt(2) * self.bounds[0], math.sqrt(2) * self.bounds[1]
+
+    @cached_property
+    def scan(self) -> WaveScan | None:
+        """The scan of standing waves over the plane; None of a track that is too long."""
+        return WaveScan.of(self.rows.place, self.radii, weight=self.rows.weight)
+
+    def strong(self, rest: Array, most: int) -> Array:
+        """The standing waves (p, 2) [rad/m] that explain most of errors (m, 2), strongest first."""
+        if self.scan is None:
+            return np.zeros((0, 2))
+        return self.scan.waves(self.scan.gains(rest)[0], most)
+
+    def possible(self, fit: ShapeFit) -> bool:
+        """Whether all waves are within the bounds, none are one, and none nearly cancel."""
+        k, step = fit.phases[:, :2], 0.5 * math.pi / self.extent
+        sizes = np.hypot(*k.T)
+        if sizes.min() < self.radii[0] - step or sizes.max() > self.radii[1] + step:
+            return False
+        first, second = np.triu_indices(len(k), 1)
+        apart = [np.hypot(*(k[first] + sign * k[second]).T) for sign in (-1.0, 1.0)]
+        strongest = 6.0 * math.sqrt(float(np.mean(self.rows.rest**2)))
+        return bool(np.min(apart, initial=math.inf) > step and fit.strengths.max() < strongest)
+
+    @cached_property
+    def power(self) -> Array:
+        """The power (f,) of what is to be explained, by frequency."""
+        return spectrum(self.rows.rest)
+
+    def quiet(self, rest: Array) -> bool:
+        """Whether errors (m, 2) have no more power where Phi has its own than elsewhere.
+
+        More is twice their mean power and 6 standard deviations. Where errors are a good part of
+        Phi, no wave may explain more of them than chance does in a thousandth of flights either.
+        """
+        whole = float(np.sum(rest**2))
+        share = whole / (float(np.sum(self.rows.rest**2)) or 1.0)
+        if share <= EXACT or not self.power.any():
+            return True
+        own, power = self.power / self.power.sum(), spectrum(rest)
+        spread = math.sqrt(0.5 * float(np.sum(own**2)))
+        if float(own @ power) > (2.0 + 6.0 * spread) * float(power.mean()):
+            return False
+        if share < 0.05 or self.scan is None:
+            return True
+        gain = float(self.scan.gains(rest)[0].max())
+        most = 2 * math.log(self.scan.count / 1e-3) + 8
+        return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
+
+    def bic(self, fit: ShapeFit, worth: float | None = None) -> float:
+        """N ln RSS + p ln n of a fit, RSS over |Phi|^2."""
+        n = worth or self.worth
+        share = max(fit.residual / self.rows.square, EXACT)
+        return n * math.log(share) + fit.shape.size * math.log(n)
+
+
+def spectrum(values: Array) -> Array:
+    """The power (f,) of both components of values (m, 2), by frequency."""
+    spectra = np.fft.rfft(values, axis=0)
+    power: Array = np.sum(spectra.real**2 + spectra.imag**2, axis=1)
+    return power
 
 
 def flight_weights(
@@ -219,15 +197,15 @@ def flight_weights(
     Of mean square 1 over all rows; one flight has weight 1.
     """
     counts, weights = [len(samples.time) for samples in flights], np.ones(len(flights))
-    for _ in range(ROUNDS if len(flights) > 1 else 0):
+    for _ in range(2 if len(flights) > 1 else 0):
         search = Search.of(flights, vehicles, library, weights.tolist())
-        rows = search.lookout.rows
-        best = fitted(rows, AXIS, search.lookout.lobes[:1])
+        rows = search.rows
+        best = fitted(rows, AXIS, search.lobes[:1])
         assert rows.weight is not None
         rest = np.sum((best.rest / rows.weight[:, None]) ** 2, axis=1)
         flight = np.repeat(np.arange(len(flights)), search.counts)
         levels = np.sqrt(np.bincount(flight, rest) / np.bincount(flight))
-        levels = np.maximum(levels, LEAST_LEVEL * levels.max())
+        levels = np.maximum(levels, 1e-3 * levels.max())
         if not levels.min() > 0:
             break
         weights = 1 / (levels * np.sqrt(np.average(levels**-2, weights=counts)))

@@ -19,6 +19,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.rows import Samples
 
 UNKNOWNS = ("response_time", "drag", "thrust_scale", "thrust_acceleration", "wind")
-Read = tuple[PointMassVehicle | None, tuple[float, float]]
+Pair = tuple[float, float]
 
 
 def checked_unknowns(names: object, target: str) -> tuple[str, ...]:
@@ -127,68 +128,60 @@ class UnknownColumns:
         basis: Array = vectors[:, roots > 1e-10 * roots[0]]
         return basis
 
-    def ratio(self, coefficients: Array) -> float:
-        """tau_0 / tau, or sqrt(c / c_0), by which Phi of the believed vehicle is the true one's."""
-        return 1.0 - float(coefficients[0]) if self.scaled else 1.0
+    def read(self, coefficients: Array) -> tuple[PointMassVehicle, Pair, float] | None:
+        """The vehicle, the wind and tau_0/tau by coefficients (p,); None where it cannot be.
 
-    def read(self, coefficients: Array) -> Read:
-        """The vehicle and the wind [m/s] from coefficients (p,); None of one that cannot be."""
-        ratio, vehicle = self.ratio(coefficients), self.believed
+        The ratio, by which Phi of the believed vehicle is larger, is sqrt(c/c_0) where drag is
+        quadratic.
+        """
+        vehicle = self.believed
+        ratio = 1.0 - float(coefficients[0]) if self.scaled else 1.0
         if not ratio > 0 or not np.isfinite(coefficients).all():
-            return None, (0.0, 0.0)
-        changes: dict[str, float | tuple[float, float]] = {}
+            return None
+        changes: dict[str, Any] = {}
+        x, y = coefficients[-2:].tolist() if len(coefficients) > 1 else (0.0, 0.0)
         if "thrust_scale" in self.unknown:
             push = float(coefficients[int(self.scaled)]) / vehicle.response_time
             changes["thrust_scale"] = vehicle.thrust_scale + push
-        wind = (0.0, 0.0)
-        if "wind" in self.unknown:
-            x, y = (coefficients[-2:] / ratio).tolist()
-            wind = x, y
         if "thrust_acceleration" in self.unknown:
-            given = np.array(vehicle.thrust_acceleration)
-            x, y = (given + coefficients[-2:] / vehicle.response_time).tolist()
-            changes["thrust_acceleration"] = x, y
+            given, tau = vehicle.thrust_acceleration, vehicle.response_time
+            changes["thrust_acceleration"] = given[0] + x / tau, given[1] + y / tau
         if "response_time" in self.unknown:
             changes["response_time"] = vehicle.response_time / ratio
         if "drag" in self.unknown:
             changes["drag"] = vehicle.drag * ratio**2
-        return replace(vehicle, **changes), wind  # type: ignore[arg-type]
+        wind = (x / ratio, y / ratio) if "wind" in self.unknown else (0.0, 0.0)
+        return replace(vehicle, **changes), wind, ratio
 
 
-@dataclass(frozen=True)
-class JointUnknowns:
-    """The unknowns of flights through one flow: those of each flight beside those of the others."""
-
-    parts: tuple[UnknownColumns, ...]
-
-    @classmethod
-    def of(cls, unknown: tuple[str, ...], vehicles: Sequence[PointMassVehicle]) -> JointUnknowns:
-        """The unknowns of flights with these vehicles."""
-        return cls(tuple(UnknownColumns(unknown, vehicle) for vehicle in vehicles))
-
-    def columns(self, sources: Sequence[Samples]) -> list[Array]:
-        """N (m, 2, p) of each flight's rows, p the unknowns of all flights."""
-        own = [part.columns(source) for part, source in zip(self.parts, sources, strict=True)]
-        ends = np.cumsum([0, *(columns.shape[2] for columns in own)]).tolist()
-        return [
+def side_by_side(parts: Sequence[UnknownColumns], sources: Sequence[Samples]) -> Array:
+    """N (m, 2, p) of the rows of all flights, those of each beside those of the others."""
+    own = [part.columns(source) for part, source in zip(parts, sources, strict=True)]
+    ends = np.cumsum([0, *(columns.shape[2] for columns in own)]).tolist()
+    return np.concatenate(
+        [
             np.pad(columns, ((0, 0), (0, 0), (first, ends[-1] - last)))
             for columns, (first, last) in zip(own, pairwise(ends), strict=True)
         ]
+    )
 
-    def read(self, coefficients: Array) -> tuple[Read, ...]:
-        """The vehicle and the steady velocity of each flight, as `UnknownColumns.read` has them.
 
-        From coefficients (p,); empty where all is known.
-        """
-        if not len(coefficients):
-            return ()
-        shares = np.array_split(coefficients, len(self.parts))
-        return tuple(part.read(share) for part, share in zip(self.parts, shares, strict=True))
+def read_vehicles(
+    parts: Sequence[UnknownColumns], coefficients: Array
+) -> tuple[tuple[PointMassVehicle, ...], Pair, float]:
+    """The vehicle of each flight from coefficients (p,), the first wind, and the mean tau_0/tau.
 
-    def ratios(self, coefficients: Array) -> list[float]:
-        """Phi of each vehicle as believed over that of the one that is read; none of known ones."""
-        shares = np.array_split(coefficients, len(self.parts)) if len(coefficients) else []
-        return [part.ratio(share) for part, share in zip(self.parts, shares, strict=False)]
+    A vehicle that cannot be is as it was believed.
+    """
+    shares = np.array_split(coefficients, len(parts))
+    reads = [part.read(share) for part, share in zip(parts, shares, strict=True)]
+    vehicles = [
+        part.believed if own is None else own[0] for part, own in zip(parts, reads, strict=True)
+    ]
+    possible = [own for own in reads if own is not None]
+    if not possible:
+        return tuple(vehicles), (0.0, 0.0), 1.0
+    return tuple(vehicles), possible[0][1], float(np.mean([own[2] for own in possible]))
 
 
 def project_out(

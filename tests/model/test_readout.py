@@ -95,7 +95,7 @@ def test_the_papers_readout_has_no_answer_for_a_constant_field():
 @pytest.mark.parametrize("readout", ["rms", "paper"])
 def test_a_noise_free_flight_is_read_on_the_grid(method, readout):
     _, _, _, read = reading(method, Readout(mean_velocity=readout, refine="none"))
-    (scale,) = read.scales
+    (scale,), _ = read
     assert scale.length_scale == 4.2
     if readout == "paper":  # Eq. 22's amplitude
         assert 1.2 * 15.0 < scale.mean_velocity <= np.sqrt(2) * 15.0 * 1.001
@@ -108,27 +108,21 @@ def test_the_velocity_is_a_refit_on_the_columns_of_the_scale():
     phi = samples.flow_velocity(VEHICLE)
     theta = candidate_columns(samples.position, np.array([4.2]))
     weights = np.linalg.lstsq(theta, phi, rcond=None)[0]
-    assert read.scales[0].mean_velocity == pytest.approx(rms_mean_velocity(weights), rel=1e-12)
+    assert read[0][0].mean_velocity == pytest.approx(rms_mean_velocity(weights), rel=1e-12)
 
 
-@pytest.mark.parametrize("readout", ["rms", "paper"])
-def test_unknown_vehicles_are_read_with_the_flow(readout):
-    wrong = sf.PointMassVehicle(2.0, (-1.0, 7.0))
-    unknown = ("response_time", "thrust_acceleration")
-    readouts = Readout(mean_velocity=readout, refine="none")
-    _, _, _, read = reading(readout=readouts, vehicle=wrong, unknown=unknown)
-    ((vehicle, wind),) = read.vehicles
-    assert vehicle.response_time == pytest.approx(0.5, rel=1e-3)
-    assert vehicle.thrust_acceleration == pytest.approx((5.0, 3.0), rel=1e-2)
-    assert wind == (0.0, 0.0)
-    bias = 0.5 if readout == "paper" else 1e-3
-    assert read.scales[0].mean_velocity == pytest.approx(15.0, rel=bias)
+@pytest.mark.parametrize(
+    "readout", [{"refine": "none"}, {"mean_velocity": "paper", "refine": "variable-projection"}]
+)
+def test_unknown_vehicles_are_not_read_on_the_grid(readout):
+    with pytest.raises(InputError, match="unknown 'response_time' is measured off the grid"):
+        sf.Estimator(library=Library(GRID, unknown=("response_time",)), readout=Readout(**readout))
 
 
 def test_several_scales_are_the_peaks_of_the_weights_fitted_together():
     fit, _, _, read = reading(readout=Readout(scales="several", refine="none"))
-    assert read.scales[0].length_scale == 4.2
-    assert read.scales[0].mean_velocity == pytest.approx(15.0, rel=1e-3)
+    assert read[0][0].length_scale == 4.2
+    assert read[0][0].mean_velocity == pytest.approx(15.0, rel=1e-3)
     peaks = windows(fit, 0.2, (0.5, 1.5))
     assert np.pi / peaks[0][0] == pytest.approx(4.2)
     assert all(low <= k <= high for k, low, high in peaks)
@@ -137,8 +131,8 @@ def test_several_scales_are_the_peaks_of_the_weights_fitted_together():
 def test_waves_are_read_with_their_flow():
     library = {"family": "waves", "every": 10}
     fit, samples, own, read = reading(backend="group-lasso", **library)
-    assert isinstance(read.flow, WaveFlow)
-    (scale,) = read.scales
+    assert isinstance(read[1], WaveFlow)
+    (scale,) = read[0]
     assert scale.length_scale == pytest.approx(4.2, rel=0.1)
     assert scale.heading == pytest.approx(0.0, abs=0.2)
     start = Readout().start(Search.of([samples], [VEHICLE], own), fit, own)
@@ -151,7 +145,7 @@ def test_a_start_is_that_of_the_nearest_lobe():
     fit, samples, library, _ = reading()
     search = Search.of([samples], [VEHICLE], library)
     start = Readout().start(search, fit, library)
-    assert start.lobe == search.lookout.lobes[0]
+    assert start.lobe == search.lobes[0]
     assert start == Readout().start(search, fit, library)
     assert np.pi / start.lobe == pytest.approx(4.2, rel=1e-3)
     several = Readout(scales="several").start(search, fit, library)

@@ -9,7 +9,7 @@ from sparsefit.errors import InputError
 from sparsefit.flight import simulate_flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.model import LengthScaleGrid, Library, Search, Start, flight_weights
+from sparsefit.model import LengthScaleGrid, Library, Search, Start, flight_weights, propose
 from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
 from sparsefit.rows import Derivative, Samples
 
@@ -40,7 +40,7 @@ def flow_of(shape, q, weights=(1.0, 0.4, -0.4, 1.0)):
 def proposed(shape, q, weights=(1.0, 0.4, -0.4, 1.0), noise=0.05, start=None, **errors):
     flow = flow_of(shape, q, weights)
     search = Search.of([samples_of(flow, noise, **errors)], [VEHICLE], LIBRARY)
-    return flow, search.propose(start or Start())
+    return flow, propose(search, start or Start())
 
 
 CASES = {
@@ -103,7 +103,7 @@ def test_several_length_scales_come_from_their_windows():
     flow = flow_of(axis_cells(2), (0.8, 1.15), (1.0, 0.4, -0.4, 1.0, 0.6, 0.2, 0.2, 0.6))
     search = Search.of([samples_of(flow, 0.05)], [VEHICLE], LIBRARY)
     windows = ((0.8, 0.7, 0.9), (1.1, 1.0, 1.25), (0.6, 0.55, 0.65))
-    (best,) = search.propose(Start(windows=windows))
+    (best,) = propose(search, Start(windows=windows))
     assert best.shape == "several"
     np.testing.assert_allclose(best.wavevectors[::2, 0], [0.8, 1.15], rtol=2e-3)
     np.testing.assert_allclose(np.abs(best.wavevectors[1::2]), np.abs(best.wavevectors[::2]))
@@ -115,7 +115,7 @@ def test_unknown_vehicles_are_linear_columns_of_the_rows():
     believed = PointMassVehicle(0.5, (2.0, -1.0))
     library = Library(LIBRARY.grid, unknown=("response_time", "wind"))
     search = Search.of([Derivative()(flight)], [believed], library)
-    best = search.propose(Start())[0]
+    best = propose(search, Start())[0]
     assert best.shape == "axis"
     assert best.vehicles[0].response_time == pytest.approx(0.4, rel=0.01)
     assert best.background == pytest.approx((0.0, 0.0), abs=0.05)
@@ -129,7 +129,8 @@ def test_flights_through_one_flow_are_weighed_by_their_noise():
     assert weights[0] / weights[1] == pytest.approx(10.0, rel=0.3)
     assert np.mean(np.square(weights)) == pytest.approx(1.0)
     assert flight_weights(flights[:1], [VEHICLE], LIBRARY) == (1.0,)
-    assert Search.of(flights, [VEHICLE] * 2, LIBRARY, weights).propose(Start())[0].shape == "axis"
+    both = Search.of(flights, [VEHICLE] * 2, LIBRARY, weights)
+    assert propose(both, Start())[0].shape == "axis"
 
 
 def test_a_flight_that_rests_or_is_too_long_is_refused_at_once():
@@ -178,7 +179,7 @@ def test_amplitudes_are_those_of_the_vehicles_that_fit_best():
         for seed, own in enumerate(vehicles)
     ]
     library = Library(LIBRARY.grid, unknown=("response_time",))
-    proposals = Search.of(flights, believed, library).propose(Start())
+    proposals = propose(Search.of(flights, believed, library), Start())
     # Rows of one amplitude fit two vehicles only to first order, and so may prefer freer shapes.
     best = next(p for p in proposals if p.shape == "axis" and not p.drifting)
     assert best.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.03)
@@ -188,6 +189,6 @@ def test_amplitudes_are_those_of_the_vehicles_that_fit_best():
 def test_nothing_is_proposed_where_nothing_is_to_be_explained():
     velocity = np.gradient(TRACK, TIME, axis=0)
     still = Samples(TIME, TRACK, velocity, velocity, -velocity / 0.5)
-    assert Search.of([still], [VEHICLE], LIBRARY).propose(Start()) == ()
+    assert propose(Search.of([still], [VEHICLE], LIBRARY), Start()) == ()
     few = samples_of(flow_of(AXIS, (0.9,)), 0.0).every(150)
-    assert len(Search.of([few], [VEHICLE], LIBRARY).propose(Start())) <= 10
+    assert len(propose(Search.of([few], [VEHICLE], LIBRARY), Start())) <= 10

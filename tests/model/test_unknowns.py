@@ -9,7 +9,7 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.model.grid import LengthScaleGrid
 from sparsefit.model.library import Library
-from sparsefit.model.unknowns import UnknownColumns, project_out
+from sparsefit.model.unknowns import UnknownColumns, project_out, read_vehicles
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative, Samples
 
@@ -42,18 +42,21 @@ def test_rows_of_a_wrong_vehicle_are_the_flow_and_the_columns(method, thrust):
     coefficients = np.array([1 - ratio, *shift])
     rows = ratio * flow + columns.columns(source) @ coefficients
     np.testing.assert_allclose(rows, source.flow_velocity(believed), atol=1e-4)
-    vehicle, blowing = columns.read(coefficients)
-    assert columns.ratio(coefficients) == ratio
+    vehicle, blowing, share = columns.read(coefficients)
+    assert share == ratio
     assert vehicle.response_time == pytest.approx(0.5)
     assert vehicle.thrust_acceleration == pytest.approx((5.0, 3.0))
     assert blowing == pytest.approx((0.0, 0.0) if thrust else WIND)
 
 
-def test_vehicles_that_cannot_be_are_none():
+def test_vehicles_that_cannot_be_are_those_believed():
     columns = UnknownColumns(("response_time",), WRONG)
-    assert columns.read(np.array([1.0]))[0] is None
-    assert columns.read(np.array([3.0]))[0] is None
-    assert columns.read(np.array([np.nan]))[0] is None
+    assert all(columns.read(np.array([value])) is None for value in (1.0, 3.0, np.nan))
+    vehicles, wind, ratio = read_vehicles((columns, columns), np.array([3.0, -3.0]))
+    assert vehicles[0] == WRONG
+    assert vehicles[1].response_time == pytest.approx(0.5)
+    assert (wind, ratio) == ((0.0, 0.0), 4.0)
+    assert read_vehicles((columns,), np.array([3.0])) == ((WRONG,), (0.0, 0.0), 1.0)
 
 
 def test_quadratic_drag_and_a_measured_thrust_by_hand():
