@@ -90,8 +90,6 @@ MERGED = (
     STUDY,
     Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"}),
     RESULTS,
-    Option("--keep-first", "where parts differ in a case keep the row that is there, or the first "
-           "part's", read=None),
 )  # fmt: skip
 SECTION = Option("section", "flights, library, run, select ...; default: all of them", "SECTION",
                  extra={"nargs": "?"})  # fmt: skip
@@ -191,14 +189,9 @@ def run_study(args: argparse.Namespace) -> int:
     again = "without --fresh to continue" if args.fresh else "again to continue"
     args.stopped = f"stopped; run the same command {again}"
     study = _checked(args)
-    finishing = "finishing the fits at hand; Ctrl-C again to stop at once"
     names = ("processes", "fresh", "retry_failed", "stale", "only", "executor", "scheduler")
     with Progress() as progress:
-        summary = study.run(
-            progress=progress,
-            stopping=lambda: print(f"\n{finishing}", file=sys.stderr),
-            **{name: getattr(args, name) for name in names},
-        )
+        summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
     rows = {
         f"{summary.dropped} cases that the study no longer plans are left out": summary.dropped,
         f"{summary.damaged} rows were damaged, and their cases computed again": summary.damaged,
@@ -362,7 +355,7 @@ def merge(args: argparse.Namespace) -> int:
     from sparsefit.study import page
 
     study = _checked(args)
-    merged = study.merge(args.parts, keep_first=args.keep_first)
+    merged = study.merge(args.parts)
     now = study.status()
     if now.finished:
         page.write(study)

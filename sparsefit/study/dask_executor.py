@@ -25,13 +25,12 @@ def outcomes_on_dask(
     experiment: Experiment,
     batches: Iterable[Batch],
     processes: int,
-    stop: Callable[[], bool],
     idle: Callable[[float], None],
 ) -> Generator[Outcome, None, None]:
     """Every cell of every batch, as its task ends.
 
     scheduler: its address, or None for a cluster of ``processes`` workers on this machine, which
-    ends with the run. Once ``stop`` says so, no task is begun that is not handed out.
+    ends with the run.
 
     Raises:
         MissingExtra: dask is not installed.
@@ -72,7 +71,7 @@ def outcomes_on_dask(
                 for batch in mine:
                     submit([batch])
             idle(0.0)
-            for more in islice(chunks, 0 if stop() else 1):
+            for more in islice(chunks, 1):
                 submit(more)
 
 

@@ -1,8 +1,8 @@
 """Outcomes of batches from killable workers: one that hangs or dies costs its own case.
 
-Each slot of the pool runs a batch of the experiment as a coroutine: it yields an `Ask`, is sent the
-`Answer` of a worker, and yields outcomes. Limits are kept here, on the wall; time in which this
-process itself was stopped is not charged.
+Each slot runs batches of the experiment as coroutines: they yield an `Ask`, are sent the `Answer`
+of a worker, and yield outcomes. Limits are kept here, on the wall; time in which this process
+itself was stopped is not charged.
 """
 
 from __future__ import annotations
@@ -17,132 +17,95 @@ from sparsefit.study.plan import Batch, Experiment, Step
 from sparsefit.study.worker import Answer, Ask, Worker, memory_limit, wait_for
 
 TICK = 0.5  # seconds between looks at the clock, at most
-
-
-def outcomes(
-    experiment: Experiment,
-    batches: Iterator[Batch],
-    processes: int,
-    stop: Callable[[], bool] = lambda: False,
-    idle: Callable[[float], None] = lambda patience: None,
-) -> Generator[Outcome, None, None]:
-    """Every cell of every batch as it ends.
-
-    Workers end with the generator. Once ``stop`` says so, nothing is asked that is not under way.
-    ``idle`` is called before workers are waited for, with the longest [s] that this takes.
-    """
-    pool = Pool(experiment, batches, processes, stop, idle)
-    try:
-        yield from pool.run()
-    finally:
-        for slot in pool.slots:
-            for worker in slot.crew.values():
-                worker.close()
-            if slot.steps is not None:
-                slot.steps.close()
-        experiment.end()
-
-
-@dataclass(eq=False)
-class Slot:
-    """One place where a batch runs: its coroutine, its workers by desk, and what one is asked."""
-
-    steps: Step | None = None
-    crew: dict[str, Worker] = field(default_factory=dict)
-    ask: Ask | None = None
+STARTS = 5  # workers in a row that may end while they start: memory may be free again later
 
 
 # Ours, as pebble times and blames whole tasks: cases that share a flight, a library and a path
 # would each need a task of their own (36480 libraries instead of 2280 in one shipped study), and
 # its busy workers outlive a parent that is killed.
-@dataclass(eq=False)
-class Pool:
-    """Slots and what is to be done; stillborn, killed: workers in a row that did not start."""
+def outcomes(
+    experiment: Experiment,
+    batches: Iterator[Batch],
+    processes: int,
+    idle: Callable[[float], None] = lambda patience: None,
+) -> Generator[Outcome, None, None]:
+    """Every cell of every batch as it ends; workers end with the generator.
 
-    experiment: Experiment
-    batches: Iterator[Batch]
-    processes: int
-    stop: Callable[[], bool]
-    idle: Callable[[float], None]
-    slots: list[Slot] = field(default_factory=list)
-    stillborn: int = 0
-    killed: int = 0
-
-    def run(self) -> Iterator[Outcome]:
-        """All outcomes; a slot is added while there are batches and fewer than `processes`."""
-        looked = time.monotonic()
-        while True:
-            while len(self.slots) < self.processes and self._next(slot := Slot()):
-                self.slots.append(slot)
-                yield from self._advance(slot, None)
-            busy = [(slot, slot.crew[slot.ask.desk]) for slot in self.slots if slot.ask]
-            if not busy:
-                return
-            self.idle(TICK)
+    ``idle`` is called before workers are waited for, with the longest [s] that this takes.
+    """
+    memory = memory_limit(experiment.definition.run.max_memory, processes)
+    slots = [Slot(experiment, _steps(experiment, batches), memory) for _ in range(processes)]
+    lost, looked = 0, time.monotonic()
+    try:
+        for slot in slots:
+            yield from slot.go_on(None)
+        while busy := [(slot, slot.crew[slot.ask.desk]) for slot in slots if slot.ask]:
+            idle(TICK)
             until = min(worker.deadline for _, worker in busy) - time.monotonic()
             wait_for([worker for _, worker in busy], min(until, TICK))
             gap, looked = time.monotonic() - looked, time.monotonic()
             for slot, worker in busy:
                 if gap > 6.0 * TICK:  # this process itself was stopped
                     worker.deadline += gap - TICK
-                answer = worker.receive()
-                if answer is not None:
-                    yield from self._take(slot, answer)
+                if (answer := worker.receive()) is None:
+                    continue
+                lost = 0 if answer.started else lost + 1
+                if lost >= STARTS:
+                    raise SparsefitError(
+                        f"{lost} worker processes in a row ended while they started "
+                        f"({answer.reason}): free memory, or take fewer --processes"
+                    )
+                yield from slot.go_on(answer)
+    finally:
+        for slot in slots:
+            for worker in slot.crew.values():
+                worker.close()
+            slot.steps.close()
+        experiment.end()
 
-    def _take(self, slot: Slot, answer: Answer) -> Iterator[Outcome]:
-        """Go on with the answer of a slot's worker; one that did not even start is replaced."""
-        ask, slot.ask = slot.ask, None
-        assert ask is not None
-        if answer.lost:
-            slot.crew.pop(ask.desk)
-        if answer.started:
-            self.stillborn = self.killed = 0
-            yield from self._advance(slot, answer)
-            return
-        self.killed += answer.by_signal
-        self.stillborn += not answer.by_signal
-        if self.killed >= 30:  # memory may be free again later
-            raise SparsefitError(
-                f"{self.killed} worker processes in a row were killed while they started "
-                f"({answer.reason}): free memory, or take fewer --processes, and run it again"
-            )
-        if self.stillborn >= 3:
-            raise SparsefitError(f"a worker process could not start ({answer.reason})")
-        self._send(slot, ask)
 
-    def _advance(self, slot: Slot, answer: Answer | None) -> Iterator[Outcome]:
-        """Go on with the batch of a slot, and with the next, until a worker is at work.
+def _steps(experiment: Experiment, batches: Iterator[Batch]) -> Step:
+    for batch in batches:
+        yield from experiment.run(batch)
 
-        Outcomes are told once it is: it does not wait for what is done with them.
+
+@dataclass(eq=False)
+class Slot:
+    """One place where batches run: their steps, its workers by desk, and what one is asked."""
+
+    experiment: Experiment
+    steps: Step
+    memory: float
+    crew: dict[str, Worker] = field(default_factory=dict)
+    ask: Ask | None = None
+
+    def go_on(self, answer: Answer | None) -> list[Outcome]:
+        """Go on with an answer until a worker is at work, or nothing is left to do.
+
+        A worker that did not even start is replaced, and asked again.
         """
-        ended = []
-        while slot.steps is not None or self._next(slot):
-            assert slot.steps is not None
+        ask, self.ask = self.ask, None
+        if ask and answer and answer.lost:
+            self.crew.pop(ask.desk)
+        if ask and answer and not answer.started:
+            self._send(ask)
+            return []
+        ended = list[Outcome]()
+        while True:
             try:
-                event = slot.steps.send(answer)
+                event = self.steps.send(answer)
             except StopIteration:
-                slot.steps = event = None
+                return ended
             answer = None
             if isinstance(event, Ask):
-                if not self.stop():
-                    self._send(slot, event)
-                break
-            if event is not None:
-                ended.append(event)
-        yield from ended
+                self._send(event)
+                return ended
+            ended.append(event)
 
-    def _send(self, slot: Slot, ask: Ask) -> None:
+    def _send(self, ask: Ask) -> None:
         """Ask the worker of a desk, which is started where there is none."""
-        if ask.desk not in slot.crew:
+        if ask.desk not in self.crew:
             make, arguments = self.experiment.desk(ask.desk)
-            memory = memory_limit(self.experiment.definition.run.max_memory, self.processes)
-            slot.crew[ask.desk] = Worker.start(make, arguments, memory=memory)
-        slot.ask = ask
-        slot.crew[ask.desk].send(ask)
-
-    def _next(self, slot: Slot) -> bool:
-        """Begin the next batch; whether there is one."""
-        batch = None if self.stop() else next(self.batches, None)
-        if batch is not None:
-            slot.steps = self.experiment.run(batch)
-        return batch is not None
+            self.crew[ask.desk] = Worker.start(make, arguments, memory=self.memory)
+        self.ask = ask
+        self.crew[ask.desk].send(ask)

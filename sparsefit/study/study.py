@@ -183,10 +183,10 @@ class Study:
             counts |= {"missing": self.missing, "at_most": minutes}
         return counts
 
-    def merge(self, parts: Sequence[str | Path], *, keep_first: bool = False) -> list[MergedPart]:
+    def merge(self, parts: Sequence[str | Path]) -> list[MergedPart]:
         """Take the rows of other results folders of this study; see `merging.merge`."""
         self.__dict__.pop("cases", None)
-        return merge(self.planned, self.folder, parts, keep_first=keep_first)
+        return merge(self.planned, self.folder, parts)
 
     def again(self, case_id: str) -> CaseAgain | Outcome:
         """One case run once more: of flights in this process, with all it was read from.
