@@ -32,7 +32,7 @@ EXAMPLE = """\
   sparsefit estimate flight.csv --plot flight.svg
   sparsefit estimate log.ulg --unknown response_time --from 60 --to 300
   sparsefit estimate glider.igc --response-time 2 --grid-lower 100 --grid-upper 2000 --grid-step 20
-  sparsefit estimate drifters.csv --only id=7 --columns "time=t,x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"
+  sparsefit estimate drifter.csv --response-time 60 --columns "time=t,x=lon,y=lat,vx=u[cm/s],vy=v"
 
 exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
 2 for bad input. `sparsefit backends` lists back-ends and their settings.
@@ -49,8 +49,6 @@ LOG = (
     Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
            "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
            "MAP"),
-    Option("--only", "the rows to read, of one vehicle, where a table holds several",
-           "COLUMN=VALUE", extra={"action": "append"}),
     Option("--from", "first second that is read", "S", number("s"), {"dest": "begin"}),
     Option("--to", "last second that is read", "S", number("s"), {"dest": "end"}),
     Option("--longest-gap", "a log with a longer one is refused; default: 60 s, or 20 steps", "S",
@@ -107,16 +105,10 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
     from sparsefit.logs.layout import Layout
     from sparsefit.rows import Derivative
 
-    if len(args.only or ()) > 1:
-        remedy = "several together are read from Python: read_flight(..., only=...) of each"
-        raise InputError(
-            f"--only is given {len(args.only)} times: a flight is of one vehicle; {remedy}"
-        )
-    only = args.only[0] if args.only else None
     tables: list[FlightTable] = []
     for path in args.flight:
         zeros = (tables[0].origin, tables[0].epoch) if tables else ()
-        tables.append(read_table(path, Layout.of(args.columns, only, *zeros)))
+        tables.append(read_table(path, Layout.of(args.columns, *zeros)))
     placed = [table.origin is not None for table in tables]
     if any(placed) and not all(placed):
         where, nowhere = args.flight[placed.index(True)], args.flight[placed.index(False)]

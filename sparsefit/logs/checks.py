@@ -1,10 +1,4 @@
-"""A log before anything is made of it: its rate, gaps and noise in words, and what is refused.
-
-Where position and velocity are both logged, the steps of the position against the integral of the
-velocity, d = c m T, say what is wrong: T is the identity of one motion, and c is 1 in one unit; T
-has exchanged or opposite axes where frames are mixed. With noise of the velocity alone the share of
-d that m explains is at most c: a share of 0.8 leaves no c below 0.67 but to units.
-"""
+"""A log before anything is made of it: its rate, gaps and noise in words, and what is refused."""
 
 from __future__ import annotations
 
@@ -17,27 +11,10 @@ import numpy as np
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, positive
 from sparsefit.flight import Flight
-from sparsefit.logs.layout import LENGTHS, SPEEDS, TIMES
 
 GAP = 4.0  # median steps: a polynomial through the samples carries over less
 ONE_STEP = 1e-6  # relative: what is taken for one and the same step
 CLEAN = 1e-9  # of the extent, or the speed: noise below it is rounding
-AXES = (  # T, and what it says
-    (np.eye(2), ""),
-    (
-        np.eye(2)[::-1],
-        "vx goes with y and vy with x: position and velocity are in different frames, "
-        "NED and ENU, say; exchange vx and vy",
-    ),
-    *(
-        (turn, f"{which} the opposite sign of the position's motion; check the frame")
-        for turn, which in (
-            (np.diag([-1.0, 1.0]), "vx has"),
-            (np.diag([1.0, -1.0]), "vy has"),
-            (-np.eye(2), "vx and vy have"),
-        )
-    ),
-)
 
 
 @dataclass(frozen=True)
@@ -153,8 +130,7 @@ def check_log(
 
     Raises:
         InputError: naming the first of these: a long gap, a vehicle that stands still, samples
-            too far apart for what is sought, rows of several vehicles, velocities in another unit,
-            frame or sign than positions.
+            too far apart for what is sought, rows of several vehicles, a velocity of zero.
     """
     steps = np.diff(flight.time)
     row, allowed = int(np.argmax(steps)), max(60.0, 20.0 * float(np.median(steps)))
@@ -185,51 +161,9 @@ def check_log(
                 f"the rows take turns between {count} tracks, {apart:.3g} m apart: a flight is of "
                 "one vehicle; give the rows of one"
             )
-    if flight.velocity_measured:
-        _check_units(flight)
+    if flight.velocity_measured and not flight.velocity.any():
+        raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
 
 
 def _median_step(position: Array, lag: int) -> float:
     return float(np.median(np.hypot(*(position[lag:] - position[:-lag]).T)))
-
-
-def _check_units(flight: Flight) -> None:
-    """Position and velocity of one motion in one unit and one frame.
-
-    Over so many steps together as leave the least of the noise: a position's is that of its ends.
-    """
-    steps, within = np.diff(flight.time)[:, None], ~gaps_of(flight.time)
-    meant = (steps * (flight.velocity[1:] + flight.velocity[:-1]) / 2.0)[within]
-    moved = np.diff(flight.position, axis=0)[within]
-    if not meant.any():
-        raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
-    shares, factor, together = [0.0] * len(AXES), 1.0, 1
-    while together * 12 <= len(moved):  # steps at least that are held against the velocity
-        whole = len(moved) // together * together
-        d, m = (part[:whole].reshape(-1, together, 2).sum(axis=1) for part in (moved, meant))
-        along = [float(np.sum(m @ turn * d)) for turn, _ in AXES]
-        own, square = max(float(np.sum(m * m)), 1e-300), float(np.sum(d * d))
-        explained = [max(part, 0.0) ** 2 / max(own * square, 1e-300) for part in along]
-        if max(explained) > max(shares):
-            shares, factor = explained, along[0] / own
-        together *= 2
-    best = int(np.argmax(shares))
-    if shares[best] < 0.8:
-        return
-    if shares[best] > shares[0] + 0.05:
-        raise InputError(AXES[best][1])
-    if not 0.67 < factor < 2.0:  # coarse samples alone do as much
-        likely = [
-            f"{kind} in {unit}"
-            for kind, ratio, units in (
-                ("position", 1.0 / factor, LENGTHS),
-                ("velocity", factor, SPEEDS),
-                ("time", factor, TIMES),
-            )
-            for unit in [unit for unit, size in units.items() if abs(ratio / size - 1.0) < 0.02][:1]
-        ]
-        words = f" ({' or '.join(likely)}?)" if likely else ""
-        raise InputError(
-            f"the position moves {factor:.4g} times as far as the velocity says: units are "
-            f"mixed{words}; give all in s, m and m/s, or name their units"
-        )

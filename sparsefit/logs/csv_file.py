@@ -1,7 +1,7 @@
 """Flight tables as text: a header, one row per sample, settings in ``# key=value`` lines.
 
 Between cells stand commas, semicolons, tabs or blanks, whichever the header has; where it is no
-comma, a comma in a number is its decimal mark. UTF-8, UTF-16 with its mark, or else Windows-1252.
+comma, a comma in a number is its decimal mark.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ import csv
 import io
 import re
 from array import array
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from contextlib import closing
 from typing import BinaryIO
 
@@ -19,12 +18,11 @@ import numpy as np
 
 from sparsefit.errors import InputError
 from sparsefit.logs.flight_table import FlightTable, said
-from sparsefit.logs.layout import Layout
-from sparsefit.logs.sheet import Cells, Sheet, check_size
+from sparsefit.logs.layout import Cells, Layout, check_size
 
 _SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 _LONGEST = 1 << 16  # characters of a line
-_NO_TEXT = "not a text file; expected CSV with the header time,x,y,vx,vy"
+_NO_TEXT = "no text in UTF-8; expected CSV with the header time,x,y,vx,vy: save it as UTF-8"
 
 
 def encode(table: FlightTable) -> bytes:
@@ -43,56 +41,47 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
-    marked, ends = file.read(2) in (BOM_UTF16_LE, BOM_UTF16_BE), 0
+    ends, settings = 0, list[tuple[str, str, str]]()
     while block := file.read(_LONGEST):
         ends += max(block.count(b"\n"), block.count(b"\r"))
         check_size(ends - 1)
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", "cp1252"):
-        settings: list[tuple[str, str, str]] = []
-        try:
-            with closing(_lines(file, encoding, settings)) as lines:
-                return _sheet(lines, settings, strict=not layout.foreign).flight_table(layout)
-        except UnicodeError:
-            continue
-        except csv.Error as error:
-            raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
-    raise InputError(_NO_TEXT)
+    try:
+        with closing(_lines(file, settings)) as lines:
+            _, header = next(lines, (0, ""))
+            best = max(",;\t", key=header.count)
+            delimiter = best if best in header or " " not in header.strip() else " "
+            names = [name.strip() for name in _cells(header, delimiter)] if header else []
+            numbers = array("q")
+
+            def read(wanted: list[str]) -> dict[str, Cells]:
+                texts: dict[str, list[str]] = {name: [] for name in wanted}
+                pairs = [(column.append, names.index(name)) for name, column in texts.items()]
+                for number, line in lines:
+                    cells = _cells(line, delimiter)
+                    if len(cells) != len(names):
+                        words = f"{len(cells)} cells, the header has {len(names)}"
+                        raise InputError(f"line {number} has {words}; repair that line")
+                    numbers.append(number)
+                    for append, place in pairs:
+                        append(cells[place])
+                for name, column in texts.items():  # a comma that parts no cells is a decimal mark
+                    if delimiter != "," and not any("." in cell for cell in column):
+                        texts[name] = [cell.replace(",", ".") for cell in column]
+                return {name: np.array(column, dtype=object) for name, column in texts.items()}
+
+            return layout.flight_table(
+                names,
+                read,
+                lambda row: f"line {numbers[row]}",
+                lambda: said(settings, strict=not layout.sources),
+            )
+    except UnicodeError:
+        raise InputError(_NO_TEXT) from None
+    except csv.Error as error:
+        raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
 
 
-def _sheet(
-    lines: Iterator[tuple[int, str]], settings: list[tuple[str, str, str]], *, strict: bool
-) -> Sheet:
-    """The table of a file: its header is read, and its rows when they are asked for."""
-    _, header = next(lines, (0, ""))
-    best = max(",;\t", key=header.count)
-    delimiter = best if best in header or " " not in header.strip() else " "
-    names = [name.strip() for name in _cells(header, delimiter)] if header else []
-    numbers = array("q")
-
-    def read(wanted: list[str]) -> dict[str, Cells]:
-        texts: dict[str, list[str]] = {name: [] for name in wanted}
-        pairs = [(column.append, names.index(name)) for name, column in texts.items()]
-        for number, line in lines:
-            cells = _cells(line, delimiter)
-            if len(cells) != len(names):
-                words = f"line {number} has {len(cells)} cells, the header has {len(names)}"
-                raise InputError(f"{words}; repair that line")
-            numbers.append(number)
-            for append, place in pairs:
-                append(cells[place])
-        for name, column in texts.items():  # a comma that parts no cells is a decimal mark
-            if delimiter != "," and not any("." in cell for cell in column):
-                texts[name] = [cell.replace(",", ".") for cell in column]
-        return {name: np.array(column, dtype=object) for name, column in texts.items()}
-
-    return Sheet(
-        names, read, lambda row: f"line {numbers[row]}", lambda: said(settings, strict=strict)
-    )
-
-
-def _lines(
-    file: BinaryIO, encoding: str, settings: list[tuple[str, str, str]]
-) -> Generator[tuple[int, str]]:
+def _lines(file: BinaryIO, settings: list[tuple[str, str, str]]) -> Generator[tuple[int, str]]:
     """Yield numbers and lines of header and rows; settings are filled on the way.
 
     A file is read line by line, so that a bomb costs nothing.
@@ -101,7 +90,7 @@ def _lines(
         InputError: where it is no text, or has a line that is too long.
     """
     file.seek(0)
-    text = io.TextIOWrapper(file, encoding)
+    text = io.TextIOWrapper(file, "utf-8-sig")
     try:
         for number, line in enumerate(iter(lambda: text.readline(_LONGEST + 1), ""), 1):
             if len(line) > _LONGEST:

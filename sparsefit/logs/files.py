@@ -30,7 +30,6 @@ def read_flight(
     *,
     vehicle: PointMassVehicle | None = None,
     columns: Columns = None,
-    only: str | None = None,
     origin: tuple[float, float] | None = None,
     epoch: str | datetime | None = None,
 ) -> Flight:
@@ -53,7 +52,6 @@ def read_flight(
             unit that in the header holds. Longitude and latitude, degrees, become metres on a local
             plane about their middle, x east and y north; times may be ISO 8601, and then are
             seconds since the first.
-        only: ``"column=value"``: the rows to read, of a table that holds several vehicles.
         origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has
             places on the Earth: several logs then have one frame. By default its own middle.
         epoch: ISO time where t = 0 shall be, of a log that has times of a calendar. By default
@@ -65,7 +63,7 @@ def read_flight(
         MissingExtra: for longitude and latitude without pyproj, for logs of PX4 without pyulog, for
             IGC files without aerofiles.
     """
-    table = read_table(path, Layout.of(columns, only, origin, epoch))
+    table = read_table(path, Layout.of(columns, origin, epoch))
     with told_with(Path(path)):
         return table.flight(vehicle)
 

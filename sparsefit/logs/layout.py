@@ -1,36 +1,52 @@
-"""Which columns of a foreign table are a flight, and in which units: ``time=t,x=lon,vx=u[cm/s]``.
+"""From the columns of a table to a flight: ``time=t,x=lon,vx=u[cm/s]``, SI units, a local plane.
 
 A field (``time``, ``x``, ``y``, ``vx``, ``vy``, ``ax``, ``ay``) is read from the column that a map
 names, else from the one of its own name, whatever its case; ``ax`` and ``ay``, a measured
 acceleration of the propulsion, beside a map only where it says so. The unit is that of the map,
 else the one behind the name in the header, ``u [cm/s]`` or ``u (cm/s)``, else the SI unit. Columns
-that a map names and that begin with ``lon`` and ``lat`` are degrees.
+that a map names and that begin with ``lon`` and ``lat`` are degrees, and become metres
+(`sparsefit.logs.plane`). Times may be ISO 8601: they become seconds since the first, UTC where they
+name no zone.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from typing import NamedTuple, TypeAlias
+from datetime import UTC, datetime, timedelta
+from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
+
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, pair, suggestion, unknown
-from sparsefit.logs.flight_table import COLUMNS, POSITIONS, PUSH, VELOCITY
+from sparsefit.flight.record import MOST_SAMPLES
+from sparsefit.logs.flight_table import COLUMNS, POSITIONS, PUSH, VELOCITY, FlightTable, number
+from sparsefit.logs.plane import plane_of
 
+Cells: TypeAlias = "np.ndarray[Any, Any]"
+"""The cells of a column, (m,): numbers, moments (``datetime64``) or texts (objects)."""
 Columns: TypeAlias = "str | Mapping[str, str] | None"
 """A column map as it is typed, or as a mapping of fields to columns."""
-DEGREES = "deg"  # of longitude and latitude, which a projection turns into metres
-TIMES = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9,
-         "min": 60.0, "h": 3600.0, "d": 86400.0}  # fmt: skip
+ANGLES = {"deg": 1.0, "°": 1.0, "degrees": 1.0}
 LENGTHS = {"m": 1.0, "metres": 1.0, "meters": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048,
-           "mi": 1609.344, "nmi": 1852.0}  # fmt: skip
-SPEEDS = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "km/s": 1e3, "km/h": 1.0 / 3.6, "ft/s": 0.3048,
-          "mph": 0.44704, "kn": 1852.0 / 3600.0, "knots": 1852.0 / 3600.0}  # fmt: skip
-ACCELERATIONS = {"m/s^2": 1.0, "m/s2": 1.0, "cm/s^2": 1e-2, "ft/s^2": 0.3048, "g": 9.80665}
-ANGLES = {DEGREES: 1.0, "°": 1.0, "degrees": 1.0}
-UNITS = {"t": TIMES, "x": LENGTHS | ANGLES, "y": LENGTHS | ANGLES, "v": SPEEDS, "a": ACCELERATIONS}
+           "mi": 1609.344, "nmi": 1852.0} | ANGLES  # fmt: skip
+UNITS = {
+    "t": {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9,
+          "min": 60.0, "h": 3600.0, "d": 86400.0},
+    "x": LENGTHS,
+    "y": LENGTHS,
+    "v": {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "km/s": 1e3, "km/h": 1.0 / 3.6, "ft/s": 0.3048,
+          "mph": 0.44704, "kn": 1852.0 / 3600.0, "knots": 1852.0 / 3600.0},
+    "a": {"m/s^2": 1.0, "m/s2": 1.0, "cm/s^2": 1e-2, "ft/s^2": 0.3048, "g": 9.80665},
+}  # fmt: skip
 _WITH_UNIT = re.compile(r"(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))")
+_OF_VEHICLES = re.compile(  # a name of columns that tell vehicles apart
+    r"vehicle|drifter|buoy|platform|aircraft|callsign|flight|trip|trajectory|icao24|tail|"
+    r"registration|device|ship|mmsi|(.*[^a-z0-9])?(id|identifier)"
+)
 
 
 class Source(NamedTuple):
@@ -43,11 +59,6 @@ class Source(NamedTuple):
         plain = not self.unit or _split(self.column).unit == self.unit
         return self.column if plain else f"{self.column} [{self.unit}]"
 
-    @property
-    def degrees(self) -> bool:
-        """Return whether the unit is that of an angle on the Earth."""
-        return self.unit in ANGLES
-
 
 @dataclass(frozen=True)
 class Layout:
@@ -56,14 +67,12 @@ class Layout:
     Args:
         sources: the fields that a column map names; none where the table is as this package
             writes it.
-        only: a column and the text in it of the rows that are read; None for all rows.
         origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has places;
             None: its own middle.
         epoch: the time where t = 0 shall be, of a log that has times; None: its first sample.
     """
 
     sources: Mapping[str, Source] = field(default_factory=dict)
-    only: tuple[str, str] | None = None
     origin: tuple[float, float] | None = None
     epoch: datetime | None = None
 
@@ -71,11 +80,10 @@ class Layout:
     def of(
         cls,
         columns: Columns = None,
-        only: str | None = None,
         origin: tuple[float, float] | None = None,
         epoch: str | datetime | None = None,
     ) -> Layout:
-        """Return the layout of ``time=t,x=lon[deg],...``, or of a mapping, and ``column=value``.
+        """Return the layout of ``time=t,x=lon[deg],...``, or of a mapping of the same.
 
         Raises:
             InputError: on a field that is none, or is given twice, on an unknown unit, and on an
@@ -86,26 +94,25 @@ class Layout:
             if not isinstance(columns, str):
                 raise InputError(f"columns must be text, time=t,x=lon,y=lat, or a mapping of it; "
                                  f"got {columns!r}")  # fmt: skip
-            pairs = [_halves(text, "columns: ", "time=t") for text in columns.split(",")]
+            for text in columns.split(","):
+                name, _, column = (part.strip() for part in text.partition("="))
+                if not name or not column:
+                    raise InputError(f'columns: "{text}" is not NAME=VALUE, as in time=t')
+                pairs.append((name, column))
         sources: dict[str, Source] = {}
         for name, text in pairs:
             one_of("field", name, (*COLUMNS, *PUSH))
             if name in sources:
                 raise InputError(f"columns: {name} is given twice; keep one")
             sources[name] = _split(str(text))
-            factor_of(name, sources[name].unit)
+            _factor(name, sources[name].unit)
         place = None if origin is None else pair("origin", origin, "degrees")
         if place is not None and not (abs(place[0]) <= 360.0 and abs(place[1]) <= 90.0):
             raise InputError(f"origin must be longitude and latitude in degrees; got {place}")
-        moment = moment_of(str(epoch)) if isinstance(epoch, str | datetime) else None
+        moment = _moment(str(epoch)) if isinstance(epoch, str | datetime) else None
         if epoch is not None and moment is None:
             raise InputError(f"epoch must be an ISO time, 2012-07-22T14:15:00, say; got {epoch!r}")
-        return cls(sources, _halves(only, "only: ", "id=7") if only else None, place, moment)
-
-    @property
-    def foreign(self) -> bool:
-        """Whether the table is not one that this package has written."""
-        return bool(self.sources)
+        return cls(sources, place, moment)
 
     def chosen(self, names: list[str]) -> dict[str, Source]:
         """Return the sources of all fields that a table with these columns has.
@@ -115,9 +122,9 @@ class Layout:
         """
         chosen: dict[str, Source] = {}
         for name in (*COLUMNS, *PUSH):
-            source = self.sources.get(name, Source(name))
+            source, mapped = self.sources.get(name, Source(name)), name in self.sources
             headings = _matching(source.column, names)
-            if name not in self.sources and (not headings or (self.foreign and name in PUSH)):
+            if not mapped and (not headings or (self.sources and name in PUSH)):
                 continue
             if not headings:
                 wanted = source.column
@@ -125,9 +132,9 @@ class Layout:
             if len(headings) > 1:
                 raise InputError(f"column {headings[0]} appears more than once; keep one of each")
             unit = source.unit or _split(headings[0]).unit
-            if name in self.sources and source.column.casefold().startswith(("lon", "lat")):
-                unit = unit or DEGREES
-            factor_of(name, unit)
+            if mapped and source.column.casefold().startswith(("lon", "lat")):
+                unit = unit or "deg"
+            _factor(name, unit)
             chosen[name] = Source(headings[0], unit)
         pairs = [pair for pair in (VELOCITY, PUSH) if set(pair) & set(chosen)]
         needed = (*POSITIONS, *sum(pairs, ())) if chosen else COLUMNS
@@ -136,31 +143,95 @@ class Layout:
             header = ascii(", ".join(names)[:200])[1:-1] or "nothing"
             remedy = "rename or add it, or say which it is: --columns time=t,x=lon,..."
             raise InputError(f"no column {', '.join(missing)}; found {header}; {remedy}")
-        if chosen["x"].degrees != chosen["y"].degrees:
+        if (chosen["x"].unit in ANGLES) != (chosen["y"].unit in ANGLES):
             words = f"x = {chosen['x']}, y = {chosen['y']}"
             raise InputError(f"columns: {words}: both are degrees, or none; say [deg] or [m]")
         return chosen
 
     def refuse_any(self, kind: str) -> None:
-        """Raise `InputError` if anything is asked of a kind of file whose columns are its own."""
-        if self.sources or self.only:
-            raise InputError(f"{kind} tells its own columns; leave columns and only out")
+        """Raise `InputError` if a map is given of a kind of file whose columns are its own."""
+        if self.sources:
+            raise InputError(f"{kind} tells its own columns; leave columns out")
+
+    def flight_table(
+        self,
+        names: list[str],
+        read: Callable[[list[str]], Mapping[str, Cells]],
+        row: Callable[[int], str],
+        head: Callable[[], Mapping[str, Any]],
+    ) -> FlightTable:
+        """Return the columns of a table that are a flight, in metres and seconds.
+
+        Args:
+            names: of the columns.
+            read: reads the cells of columns, by name.
+            row: the words for a row, counted from 0, in the file: ``line 7``.
+            head: says settings, flow and frame of a `FlightTable`, when all is read.
+
+        Raises:
+            InputError: naming the column, and the row where it is one, if a column is missing, rows
+                are of several vehicles, a value is no number, or degrees are none.
+            MissingExtra: where there are degrees, without pyproj.
+        """
+        sources = self.chosen(names)
+        used = [*dict.fromkeys(source.column for source in sources.values())]
+        naming = [own for own in names if _OF_VEHICLES.fullmatch(own.casefold())]
+        naming = [own for own in naming if own not in used]
+        cells = read([*used, *naming])
+        count = len(cells[used[0]])
+        for name in naming:
+            vehicles = Counter(str(cell).strip() for cell in cells[name].tolist())
+            if len(vehicles) > 1 and count >= 2 * len(vehicles):  # else they number the rows
+                few = ", ".join(sorted(vehicles)[:3])
+                raise InputError(
+                    f"column {name} names {len(vehicles)} vehicles ({few}): a flight is of one; "
+                    "write the rows of one to a file of their own"
+                )
+        values: dict[str, Array] = {}
+        epoch = origin = None
+        for name, (column, unit) in sources.items():
+
+            def at(place: int, column: str = column) -> str:
+                return f"{row(place)}, column {column}"
+
+            if name == "time" and not unit and _is_moments(cells[column]):
+                values[name], epoch = _since_first(cells[column], at)
+            else:
+                values[name] = _factor(name, unit) * _numbers(cells[column], at)
+        words = ", ".join(f"{name} = {source}" for name, source in sources.items())
+        plain = not self.sources and all(name == str(own) for name, own in sources.items())
+        notes, said = () if plain else (words,), dict(head())
+        if sources["x"].unit in ANGLES:
+            said["frame"] = "ENU"
+            if count:
+                headings = sources["x"].column, sources["y"].column
+                plane = plane_of(values["x"], values["y"], headings, self.origin)
+                origin, notes = plane.origin, (*notes, plane.words)
+                values["x"], values["y"] = plane.position.T
+                for x, y in (VELOCITY, PUSH):
+                    if x in values:
+                        eastward = np.column_stack([values[x], values[y]])
+                        values[x], values[y] = plane.turned(eastward).T
+        return FlightTable(values, **said, notes=notes, origin=origin, epoch=epoch)
 
 
-def factor_of(name: str, unit: str) -> float:
-    """Return the SI value of one ``unit`` of a field; 1 for degrees and for no unit.
-
-    Raises:
-        InputError: naming the known units, where it is none of them.
-    """
-    units = UNITS[name[0]]
-    if unit and unit not in units:
-        raise InputError(f"{name}: {unknown('unit', unit, units)}")
-    return units[unit] if unit else 1.0
+def check_size(rows: int) -> None:
+    """Raise `InputError` where a table has more rows than a flight may have samples."""
+    if rows > MOST_SAMPLES:
+        words = f"{rows} rows are more than the {MOST_SAMPLES} that a flight may have"
+        raise InputError(f"{words}; cut it into pieces")
 
 
-def moment_of(text: str) -> datetime | None:
-    """Return the time that a calendar names, UTC where no zone is named; None of anything else."""
+def moment_at(microseconds: int) -> datetime | None:
+    """Return the time so many microseconds after 1970 began; None beyond all calendars."""
+    try:
+        return datetime.fromtimestamp(0, UTC) + timedelta(microseconds=microseconds)
+    except OverflowError:
+        return None
+
+
+def _moment(text: str) -> datetime | None:
+    """The time that a calendar names, UTC where no zone is named; None of anything else."""
     try:
         moment = datetime.fromisoformat(text.strip())
     except ValueError:
@@ -168,11 +239,12 @@ def moment_of(text: str) -> datetime | None:
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
-def _halves(text: str, what: str, example: str) -> tuple[str, str]:
-    name, equals, value = str(text).partition("=")
-    if not equals or not name.strip() or not value.strip():
-        raise InputError(f'{what}"{text}" is not NAME=VALUE, as in {example}')
-    return name.strip(), value.strip()
+def _factor(name: str, unit: str) -> float:
+    """The SI value of one unit of a field, 1 for degrees; `InputError` where it is none."""
+    units = UNITS[name[0]]
+    if unit and unit not in units:
+        raise InputError(f"{name}: {unknown('unit', unit, units)}")
+    return units[unit] if unit else 1.0
 
 
 def _split(heading: str) -> Source:
@@ -187,3 +259,47 @@ def _matching(wanted: str, names: list[str]) -> list[str]:
         if headings := [name for name in names if key(name) == key(wanted)]:
             return headings
     return []
+
+
+def _is_moments(cells: Cells) -> bool:
+    """Whether the first cell is a time of a calendar, or at least no number."""
+    if cells.dtype.kind == "O" and len(cells):
+        try:
+            float(cells[0])
+        except ValueError:
+            return True
+    return bool(cells.dtype.kind == "M")
+
+
+def _numbers(cells: Cells, at: Callable[[int], str]) -> Array:
+    """The numbers (m,). Raises `InputError`, naming the row, where a cell is none."""
+    if cells.dtype.kind == "M":
+        raise InputError(f"{at(0)} is a time; it must be a number")
+    try:
+        values: Array = cells.astype(np.float64)
+    except ValueError:
+        values = np.full(1, np.nan)
+    texts = cells.dtype.kind == "O"
+    if not np.isfinite(values).all() or (texts and any("_" in cell for cell in cells)):
+        for row, cell in enumerate(cells):
+            number(str(cell), at(row))
+    return values
+
+
+def _since_first(cells: Cells, at: Callable[[int], str]) -> tuple[Array, datetime | None]:
+    """Seconds since the first moment (m,), and that moment; `InputError` where a cell is none."""
+    if cells.dtype.kind == "M":
+        empty = np.flatnonzero(np.isnat(cells))
+        if len(empty):
+            raise InputError(f"{at(int(empty[0]))} is empty; repair or drop it")
+        first = cells[:1].astype("datetime64[us]").astype(np.int64)
+        return (cells - cells[:1]) / np.timedelta64(1, "s"), moment_at(*first.tolist())
+    moments = [_moment(cell) for cell in cells]
+    if None in moments:
+        row = moments.index(None)
+        cell = ascii(cells[row].strip()[:40])
+        kind = "neither a finite number nor an ISO time" if row == 0 else "not an ISO time"
+        raise InputError(f"{at(row)}: {cell} is {kind}, 2012-07-22T14:15:00; repair or drop it")
+    first_of = moments[0]
+    seconds = [(moment - first_of).total_seconds() for moment in moments if moment and first_of]
+    return np.array(seconds), first_of

@@ -10,8 +10,7 @@ import numpy as np
 
 from sparsefit.errors import InputError
 from sparsefit.logs.flight_table import FlightTable, said
-from sparsefit.logs.layout import Layout
-from sparsefit.logs.sheet import Cells, Sheet, check_size
+from sparsefit.logs.layout import Cells, Layout, check_size
 
 _WIDEST = 64  # bytes of a cell, in the mean, that a column of a flight may unpack to
 _SPARE = 1 << 20  # bytes beside these: pages and dictionaries of short files
@@ -63,7 +62,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
             for key, text in (schema.metadata or {}).items()
         ]
         head = partial(said, entries, strict=False)
-        return Sheet(schema.names, read, "row {}".format, head).flight_table(layout)
+        return layout.flight_table(schema.names, read, "row {}".format, head)
     except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
 

@@ -17,9 +17,8 @@ import numpy as np
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.logs.flight_table import COLUMNS, FlightTable
-from sparsefit.logs.layout import Layout
+from sparsefit.logs.layout import Layout, check_size, moment_at
 from sparsefit.logs.plane import plane_of
-from sparsefit.logs.sheet import check_size, moment_at
 
 TOPIC, LANDED, GPS = "vehicle_local_position", "vehicle_land_detected", "vehicle_gps_position"
 FIELDS = ("x", "y", "vx", "vy")

@@ -113,8 +113,7 @@ def test_the_log_is_told_before_the_estimate(capsys):
 LOGS = {
     "a gap of 10 minutes": lambda f: replace(f, time=f.time + 600.0 * (f.time > 2)),
     "stands still": lambda f: replace(f, position=0.01 * f.position, velocity=0.01 * f.velocity),
-    "velocity in km/h?": lambda f: replace(f, velocity=3.6 * f.velocity),
-    "vx goes with y": lambda f: replace(f, velocity=f.velocity[:, ::-1]),
+    "velocity is zero": lambda f: replace(f, velocity=0.0 * f.velocity),
 }
 
 
@@ -134,10 +133,7 @@ def test_bad_logs_are_refused_by_name_before_any_work(capsys, monkeypatch, fligh
     [
         (("--columns", "time=t,x=lat,y=lon"), "x is east, the longitude"),
         (("--columns", "time=t[parsec],x=lon,y=lat"), 'unknown unit "parsec"'),
-        (("--columns", MAP, "--only", "id=7"), 'no column "id"'),
-        (("--columns", MAP, "--only", "a=1", "--only", "a=2"), "--only is given 2 times"),
         (("--columns", MAP, "--from", "9"), "at least 3 samples"),
-        (("--columns", MAP.replace("[ms]", "")), "units are mixed (position in km"),
     ],
 )
 def test_bad_options_are_one_line(capsys, flight, options, words):

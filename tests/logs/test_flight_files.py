@@ -172,8 +172,8 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
         ("# flow=" + "[" * 5000 + "\n" + HEADER + ROWS, "line 1: .*no JSON object of a flow"),
         ('# flow={"kind": "wave"}\n' + HEADER + ROWS, 'line 1: .*did you mean "waves"'),
         ("# length_scale=0\n# mean_velocity=1\n" + HEADER + ROWS, "length_scale must be"),
-        (bytes(range(256)) * 4, "not a text file"),
-        ("\x00\x01\x02" * 50, "not a text file"),
+        (bytes(range(256)) * 4, "no text in UTF-8"),
+        ("\x00\x01\x02" * 50, "no text in UTF-8"),
         (HEADER + "0,1,2,3," + "4" * 200_000 + "\n", "line 3 is longer than 65536 char"),
     ],
 )

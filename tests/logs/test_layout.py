@@ -152,7 +152,7 @@ SEVERAL = csv_text(
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_several_vehicles_in_a_file_are_refused_or_one_is_read(file, suffix):
+def test_several_vehicles_in_a_file_are_refused(file, suffix):
     path = file(SEVERAL)
     if suffix == "parquet":
         path = path.with_suffix(".parquet")
@@ -160,12 +160,8 @@ def test_several_vehicles_in_a_file_are_refused_or_one_is_read(file, suffix):
         pq.write_table(
             pa.table(columns | {"x": columns["time"], "y": [0, 1, 2, 3, 0, 2, 4, 6]}), path
         )
-    with pytest.raises(InputError, match=r"column Id names 2 vehicles \(a, b\).* \(--only Id=a"):
+    with pytest.raises(InputError, match=r"column Id names 2 vehicles \(a, b\).*of their own"):
         sf.read_flight(path, vehicle=VEHICLE)
-    flight = sf.read_flight(path, vehicle=VEHICLE, only="Id=b")
-    assert flight.position.tolist() == [[0, 0], [1, 2], [2, 4], [3, 6]]
-    with pytest.raises(InputError, match='no column "id": did you mean "Id"'):
-        sf.read_flight(path, vehicle=VEHICLE, only="id=b")
 
 
 def test_the_frame_is_written_and_read(tmp_path):
@@ -212,10 +208,10 @@ SHEET = "Zeit [ms];Ost (km);north [ft];u [cm/s];v (knots);Höhe\r\n" + "".join(
 )
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 @pytest.mark.parametrize("name", ["sheet.csv", "sheet.txt"])
 def test_what_spreadsheets_export(tmp_path, encoding, name):
-    """Decimal commas between semicolons, units in the header, a byte order mark, any encoding."""
+    """Decimal commas between semicolons, units in the header, a byte order mark."""
     path = tmp_path / name
     path.write_bytes(SHEET.encode(encoding))
     found = in_si(path, columns="time=Zeit,x=ost,y=north,vx=u,vy=v")
@@ -224,6 +220,13 @@ def test_what_spreadsheets_export(tmp_path, encoding, name):
     assert notes == (
         "time = Zeit [ms], x = Ost (km), y = north [ft], vx = u [cm/s], vy = v (knots)",
     )
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])
+def test_other_encodings_are_refused_with_the_remedy(tmp_path, encoding):
+    (tmp_path / "sheet.csv").write_bytes(SHEET.encode(encoding))
+    with pytest.raises(InputError, match="save it as UTF-8"):
+        read_table(tmp_path / "sheet.csv")
 
 
 def test_names_of_any_case_and_units_in_a_header_need_no_map(file):
@@ -252,21 +255,19 @@ def test_times_beyond_all_calendars_are_read_without_an_epoch(tmp_path):
     assert table.epoch is None
 
 
-def test_which_columns_name_vehicles(file, tmp_path):
-    with pytest.raises(InputError, match="no row has Id=7; there is a, b"):
-        read_table(file(SEVERAL), Layout.of(None, "Id=7"))
+def test_which_columns_name_vehicles(file):
     numbered = file(csv_text(("id", "time", "x", "y"), [(i, i, i, i) for i in range(4)]))
     assert sf.read_flight(numbered, vehicle=VEHICLE).samples == 4
-    frame = pd.DataFrame({"id": [1.0, 1.0, 2.0, 2.0, np.nan, np.nan], "time": range(6)})
-    frame.assign(x=0.0, y=1.0).to_parquet(tmp_path / "log.parquet")
-    table = read_table(tmp_path / "log.parquet", Layout.of(None, "id=2"))
-    assert table.columns["time"].tolist() == [2.0, 3.0]
+    for name in ("flight_id", "MMSI", "Trip ID"):
+        table = SEVERAL.replace("Id", name, 1)
+        with pytest.raises(InputError, match=f"column {name} names 2 vehicles"):
+            read_table(file(table))
+    assert len(read_table(file(SEVERAL.replace("Id", "grid", 1))).columns["time"]) == 8
 
 
-def test_a_frame_of_pandas_with_times_as_text_and_names(tmp_path):
-    frame = pd.DataFrame({"Date": ["2012-07-22", "2012-07-23"] * 2, "Id": list("aabb")})
-    frame = frame.assign(x=[0.0, 1.0, 2.0, 3.0], y=0.0)
-    frame.to_parquet(tmp_path / "log.parquet")
-    table = read_table(tmp_path / "log.parquet", Layout.of("time=Date", "Id=b"))
+def test_a_frame_of_pandas_with_times_as_text(tmp_path):
+    frame = pd.DataFrame({"Date": ["2012-07-22", "2012-07-23"], "note": list("aa")})
+    frame.assign(x=[0.0, 1.0], y=0.0).to_parquet(tmp_path / "log.parquet")
+    table = read_table(tmp_path / "log.parquet", Layout.of("time=Date"))
     assert table.columns["time"].tolist() == [0.0, 86400.0]
-    assert table.columns["x"].tolist() == [2.0, 3.0]
+    assert table.columns["x"].tolist() == [0.0, 1.0]

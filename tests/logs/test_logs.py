@@ -168,7 +168,7 @@ def test_two_recordings_share_a_plane_and_a_clock(tmp_path):
     late = datetime(2024, 6, 2, 1, 0, 0)
     first = read_table(write(tmp_path, "a.igc", igc(time, latitude, longitude, fine=True)))
     path = write(tmp_path, "b.igc", igc(time, latitude, longitude + 0.01, start=late, fine=True))
-    second = read_table(path, Layout.of(None, None, first.origin, first.epoch)).flight(VEHICLE)
+    second = read_table(path, Layout.of(None, first.origin, first.epoch)).flight(VEHICLE)
     np.testing.assert_allclose(second.time, time + 3630.0)
     east = Proj(proj="aeqd", lon_0=8, lat_0=47, ellps="WGS84")(8.01, 47.0)[0]
     shift = second.position - first.flight(VEHICLE).position
