@@ -1,4 +1,4 @@
-"""The readings of a log, the nodes at which they stand, and their states given all of them.
+"""The readings of a log, and the nodes at which they stand.
 
 A node has up to four readings (position x, y, velocity x, y); a reading that is missing has the
 weight 0. Positions that are older than the velocities of their rows stand at nodes of their own.
@@ -49,13 +49,12 @@ class FlightLog:
         if time.ndim != 1 or len(time) < 3 or not (np.diff(time) > 0.0).all():
             raise InputError("a log needs three rows or more, of a time that increases")
         object.__setattr__(self, "time", time)
-        for name in ("position", "velocity"):
+        for name in ("position", "velocity", "thrust"):
             array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != (len(time), 2):
+            if array.shape != (len(time), 2) and (name, array.shape) != ("thrust", (2,)):
                 raise InputError(f"{name} must have shape ({len(time)}, 2); got {array.shape}")
-            object.__setattr__(self, name, array)
-        thrust = np.broadcast_to(np.asarray(self.thrust, dtype=np.float64), (len(time), 2))
-        object.__setattr__(self, "thrust", np.ascontiguousarray(thrust))
+            full = np.ascontiguousarray(np.broadcast_to(array, (len(time), 2)))
+            object.__setattr__(self, name, full)
         if np.isfinite(self.position).sum() < 4:
             raise InputError("the log has fewer than two positions: nothing can be measured")
 
@@ -64,7 +63,7 @@ class FlightLog:
         """Return the readings of a flight; its velocity only where it was measured."""
         thrust = flight.vehicle.thrust_acceleration if flight.thrust is None else flight.thrust
         velocity = flight.velocity if flight.velocity_measured else np.nan * flight.velocity
-        return cls(flight.time, flight.position, velocity, np.asarray(thrust, dtype=np.float64))
+        return cls(flight.time, flight.position, velocity, np.asarray(thrust))
 
     @property
     def origin(self) -> tuple[float, float, float]:
@@ -94,10 +93,9 @@ class FlightLog:
     @property
     def spread(self) -> Array:
         """The variance (4,) of the first position and velocity: of this log, whatever its model."""
-        measured = bool(np.isfinite(self.velocity).any())
-        place, rate = self.noise
-        deviations = DIFFUSE * place, DIFFUSE * rate if measured else 10.0 * self.speed
-        return np.repeat(np.square(deviations), 2)
+        place, rate = (DIFFUSE * noise for noise in self.noise)
+        measured = np.isfinite(self.velocity).any()
+        return np.repeat(np.square([place, rate if measured else 10.0 * self.speed]), 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,70 +152,25 @@ class Nodes:
         steps = np.repeat(np.diff(times) / count, count)
         time = np.append(np.repeat(times[:-1], count) + within * steps, times[-1])
         at = np.full((len(time), 2), -1, dtype=np.intp)
-        measured, weights = np.zeros((len(time), 4)), np.zeros((len(time), 4))
+        measured, weights = np.zeros((2, len(time), 4))
         for half, (values, stamps) in enumerate(((place, clock - shift), (speed, clock))):
-            nodes = starts[np.searchsorted(times, stamps)]
+            nodes, channels = starts[np.searchsorted(times, stamps)], slice(2 * half, 2 * half + 2)
             at[nodes, half] = rows
-            measured[nodes, 2 * half : 2 * half + 2] = np.nan_to_num(values, nan=0.0)
-            weights[nodes, 2 * half : 2 * half + 2] = np.isfinite(values)
+            measured[nodes, channels] = np.nan_to_num(values, nan=0.0)
+            weights[nodes, channels] = np.isfinite(values)
         push = [np.interp(time, log.time - origin[2], each) for each in log.thrust.T]
         return cls(time, np.column_stack(push), measured, weights, at, weights > 0.0)
 
     def track(self) -> Array:
         """Return a first track (m, 4) through the readings."""
         track = np.zeros((len(self.time), 4))
-        for channel in range(4):
-            seen = self.seen[:, channel]
+        for channel, seen in enumerate(self.seen.T):
             if seen.any():
                 values = self.measured[seen, channel]
                 track[:, channel] = np.interp(self.time, self.time[seen], values)
             else:
                 track[:, channel] = np.gradient(track[:, channel - 2], self.time)
         return track
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """A filter on its way through the nodes; the arrays change in place.
-
-    Args:
-        delta: from the track (n,).
-        sensitivity: V (n, q) by the columns, then by the logarithms of the levels.
-        covariance: P (n, n).
-        score: b (q,).
-        information: J (q, q).
-    """
-
-    delta: Array
-    sensitivity: Array
-    covariance: Array
-    score: Array
-    information: Array
-
-    @classmethod
-    def of(cls, n: int, q: int) -> State:
-        """Return a filter of zeros."""
-        shapes = (n, (n, q), (n, n), q, (q, q))
-        return cls(*(np.zeros(shape) for shape in shapes))
-
-
-@dataclass(frozen=True, eq=False)
-class Smoothed:
-    """A backward pass.
-
-    Args:
-        track: the states (m, n) given all readings.
-        adjoint: r at each node and after it (m + 1, 2 n).
-        scores: of the readings (m, 12): u, the residual u/sqrt(D) that each leaves when it is left
-            out over its deviation, the standardised innovation e/sqrt(S).
-        squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
-            their difference is the derivative of the log-likelihood by its logarithm.
-    """
-
-    track: Array
-    adjoint: Array
-    scores: Array
-    squares: Array
 
 
 def noise_of(values: Array) -> float:

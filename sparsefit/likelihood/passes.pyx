@@ -221,91 +221,78 @@ def _room(states, columns, waves):
 
 
 def forward(
-    space, nodes, Matrix track, Py_ssize_t first, Py_ssize_t end, last, state,
-    double[:, ::1] stored,
+    space, nodes, Matrix track, Py_ssize_t first, Py_ssize_t end, last,
+    double[:, ::1] rows, double[:, ::1] sums, double[:, ::1] stored,
 ):
-    """Filter a block of nodes, as `reference.forward` does; the state is changed in place."""
+    """Filter a block of nodes, as `reference.forward` does; rows and sums change in place."""
     cdef Vector elements = space.elements, rates = np.append(space.rates, 0.0), time = nodes.time
     cdef Matrix kicks = space.kicks, noise = space.noise
     cdef Matrix push = nodes.push, measured = nodes.measured, weights = nodes.weights
     cdef Matrix adjoint = track if last is None else last.adjoint
     cdef Matrix scores = track if last is None else last.scores
-    cdef double[::1] delta = state.delta, score = state.score
-    cdef double[:, ::1] v = state.sensitivity, cov = state.covariance, info = state.information
-    cdef Py_ssize_t w = rates.shape[0] - 1, p = space.chain.shape[1], n = 4 + w
-    cdef Py_ssize_t levels = 0 if last is None else kicks.shape[0], q = p + levels
+    cdef Py_ssize_t w = rates.shape[0] - 1, n = 4 + w, width = rows.shape[1]
+    cdef Py_ssize_t c = n + 1 + space.chain.shape[1], levels = width - c
     cdef Py_ssize_t waves = (elements.shape[0] - OWN) // 5
     # The elements that parameters move, and the links (element, parameter) of the chain rule.
     columns = np.flatnonzero(space.chain.any(axis=1))
     sources, targets = np.nonzero(space.chain[columns])
     cdef Indices ids = np.concatenate([space.walkers, columns, [0]]).astype(np.intp)
-    cdef Indices source = np.append(sources, 0).astype(np.intp)
-    cdef Indices target = np.append(targets, 0).astype(np.intp)
+    cdef Indices source = np.append(w + sources, 0).astype(np.intp)
+    cdef Indices target = np.append(n + 1 + targets, 0).astype(np.intp)
     cdef Vector slope = np.append(space.chain[columns][sources, targets], 0.0)
     cdef Py_ssize_t moving = len(columns), links = len(sources)
     cdef Py_ssize_t of_sensors = np.sum(columns[sources] < OWN)  # they stand first
-    _room(n, max(w + moving, q), waves)
+    _room(n, max(w + moving, width), waves)
     cdef double[::1] full = np.array(elements)
     cdef double[::1] kick = np.sum(kicks, axis=0), spread = np.sum(noise, axis=0)
+    cdef double[:, ::1] fresh = np.empty_like(rows)
     cdef ByOwn by_element[4]
     cdef double by_state[4][STATES]
-    cdef double rows[STATES][STATES + COLUMNS + 1]  # P, V and delta side by side
-    cdef double fresh[STATES][STATES + COLUMNS + 1]
-    cdef double pivot[STATES + COLUMNS + 1]  # P h, the response and minus the innovation
+    cdef double response[STATES + COLUMNS]  # H P, -e and G
     cdef double reading[4]
     cdef double total = 0.0, size, dt, excess
     cdef double* saved = NULL
     cdef const double* h
     cdef Step step
     cdef Force force
-    cdef Py_ssize_t i, j, k, c, kept = 2 * n + p + 2, last_one = n + q, width = n + q + 1
+    cdef Py_ssize_t i, j, k, channel
     memset(&force, 0, sizeof(force))
     memset(by_state, 0, sizeof(by_state))
     memset(by_element, 0, sizeof(by_element))
-    for k in range(n):
-        memcpy(rows[k], &cov[k, 0], n * sizeof(double))
-        for j in range(q):
-            rows[k][n + j] = v[k, j]
-        rows[k][last_one] = delta[k]
     for i in range(first, end):
         if stored is not None:
             saved = &stored[i - first, 0]
             for k in range(n):
-                saved[k] = rows[k][last_one]
-                memcpy(saved + n + k * p, rows[k] + n, p * sizeof(double))
-                memcpy(saved + n * (1 + p) + k * n, rows[k], n * sizeof(double))
+                memcpy(saved + k * c, &rows[k, 0], c * sizeof(double))
+            saved += n * c
         observation(
             &elements[0], &ids[0], w, &track[i, 0], &full[0], reading, by_state, by_element
         )
-        for c in range(4):
-            if weights[i, c] <= 0.0:
+        for channel in range(4):
+            if weights[i, channel] <= 0.0:
                 continue
-            h = by_state[c]
-            memset(pivot, 0, width * sizeof(double))
+            h = by_state[channel]
+            memset(response, 0, width * sizeof(double))
+            response[n] = reading[channel] - measured[i, channel]
             for k in range(of_sensors):
-                pivot[n + target[k]] += slope[k] * by_element[c][ids[w + source[k]]]
+                response[target[k]] += slope[k] * by_element[channel][ids[source[k]]]
             for k in range(levels):
-                pivot[n + p + k] = noise[k, c] * scores[i, c] / weights[i, c]
-            pivot[last_one] = reading[c] - measured[i, c]
+                response[c + k] = noise[k, channel] * scores[i, channel] / weights[i, channel]
             for k in range(n):
                 if h[k] != 0.0:
-                    add(width, h[k], rows[k], pivot)
-            size = spread[c] / weights[i, c] + dot(n, h, pivot)
+                    add(width, h[k], &rows[k, 0], response)
+            size = spread[channel] / weights[i, channel] + dot(n, h, response)
             if not size > 0.0:  # the covariance has lost its sign
-                return -INFINITY
-            total -= 0.5 * (pivot[last_one] * pivot[last_one] / size + log(2.0 * M_PI * size))
+                return INFINITY
+            total += log(2.0 * M_PI * size)
             for k in range(n):
-                add(width, -pivot[k] / size, pivot, rows[k])
-            for k in range(q):  # the lower triangle
-                score[k] -= pivot[n + k] * pivot[last_one] / size
-                add(k + 1, pivot[n + k] / size, pivot + n, &info[k, 0])
+                add(width, -response[k] / size, response, &rows[k, 0])
+            for k in range(width - n):  # the lower triangle
+                add(k + 1, response[n + k] / size, response + n, &sums[k, 0])
             if stored is not None:
-                saved = &stored[i - first, n * (1 + p + n) + c * kept]
-                memcpy(saved, h, n * sizeof(double))
-                for k in range(n):
-                    saved[n + k] = pivot[k] / size
-                memcpy(saved + 2 * n, pivot + n, p * sizeof(double))
-                saved[2 * n + p], saved[2 * n + p + 1] = -pivot[last_one], size
+                memcpy(saved + channel * (n + c + 1), h, n * sizeof(double))
+                memcpy(saved + channel * (n + c + 1) + n, response, c * sizeof(double))
+                saved[channel * (n + c + 1) + n + c] = size
         if i + 1 == time.shape[0]:
             break
         dt = time[i + 1] - time[i]
@@ -315,44 +302,38 @@ def forward(
         )
         for k in range(n):
             for j in range(levels):
-                rows[k][n + p + j] += 0.5 * dt * kicks[j, k] * adjoint[i, n + k]
-            rows[k][k] += 0.5 * dt * kick[k]
-        for k in range(n):  # F times P, V and delta
-            memset(fresh[k], 0, width * sizeof(double))
-            fresh[k][last_one] = step.following[k] - track[i + 1, k]
+                rows[k, c + j] += 0.5 * dt * kicks[j, k] * adjoint[i, n + k]
+            rows[k, k] += 0.5 * dt * kick[k]
+        for k in range(n):  # F times P, delta and V
+            memset(&fresh[k, 0], 0, width * sizeof(double))
+            fresh[k, n] = step.following[k] - track[i + 1, k]
             if k >= 4:
-                add(width, step.fading[k - 4], rows[k], fresh[k])
+                add(width, step.fading[k - 4], &rows[k, 0], &fresh[k, 0])
                 continue
             for j in range(links):
-                fresh[k][n + target[j]] += slope[j] * step.slope[k][n + source[j]]
-            for c in range(n):
-                add(width, step.slope[k][c], rows[c], fresh[k])
+                fresh[k, target[j]] += slope[j] * step.slope[k][4 + source[j]]
+            for j in range(n):
+                add(width, step.slope[k][j], &rows[j, 0], &fresh[k, 0])
         for k in range(n):  # and P times F'
             for j in range(k + 1):
-                rows[k][j] = dot(n, fresh[k], step.slope[j]) if j < 4 else (
-                    fresh[k][j] * step.fading[j - 4]
+                rows[k, j] = dot(n, &fresh[k, 0], step.slope[j]) if j < 4 else (
+                    fresh[k, j] * step.fading[j - 4]
                 )
-                rows[j][k] = rows[k][j]
-            rows[k][k] += 0.5 * dt * kick[k]
-            memcpy(rows[k] + n, fresh[k] + n, (q + 1) * sizeof(double))
+                rows[j, k] = rows[k, j]
+            rows[k, k] += 0.5 * dt * kick[k]
+            memcpy(&rows[k, n], &fresh[k, n], (width - n) * sizeof(double))
             for j in range(levels):
-                rows[k][n + p + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
+                rows[k, c + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
             if k < 2:  # the first half kick has too much of the position
                 excess = dt / 6.0 * step.slope[k][2 + k] * step.slope[k][2 + k]
-                rows[k][k] -= excess * kick[2 + k]
+                rows[k, k] -= excess * kick[2 + k]
                 for j in range(levels):
-                    rows[k][n + p + j] -= excess * kicks[j, 2 + k] * adjoint[i + 1, k]
+                    rows[k, c + j] -= excess * kicks[j, 2 + k] * adjoint[i + 1, k]
             if stored is not None and k < 4:
-                saved = &stored[i - first, stored.shape[1] - 4 * n + k * n]
-                memcpy(saved, step.slope[k], n * sizeof(double))
-    for k in range(n):
-        memcpy(&cov[k, 0], rows[k], n * sizeof(double))
-        for j in range(q):
-            v[k, j] = rows[k][n + j]
-        delta[k] = rows[k][last_one]
-    for k in range(q):
+                memcpy(saved + 4 * (n + c + 1) + k * n, step.slope[k], n * sizeof(double))
+    for k in range(width - n):
         for j in range(k):
-            info[j, k] = info[k, j]
+            sums[j, k] = sums[k, j]
     return total
 
 
@@ -364,10 +345,11 @@ def backward(
     cdef Vector rates = space.rates, time = nodes.time, noise = np.sum(space.noise, axis=0)
     cdef Matrix weights = nodes.weights
     cdef double[:, ::1] smoothed = result.track, adjoint = result.adjoint, scores = result.scores
-    cdef Py_ssize_t n = carried.shape[1], p = change.shape[0], width = 2 * n + p + 2, i, j, k, c
-    _room(n, p, 0)
+    cdef Py_ssize_t n = carried.shape[1], q = change.shape[0], c = n + q, i, j, k, channel
+    _room(n, q, 0)
     cdef double r[STATES]
     cdef double new[STATES]
+    cdef double gain[STATES]
     cdef double along[STATES]
     cdef double fade[STATES]
     cdef double cov[STATES][STATES]
@@ -376,16 +358,15 @@ def backward(
     cdef const double* saved
     cdef const double* slope
     cdef const double* h
-    cdef const double* gain
+    memcpy(r, &carried[0, 0], n * sizeof(double))
     for k in range(n):
-        r[k] = carried[0, k]
-        for j in range(n):
-            cov[k][j] = carried[1 + k, j]
+        memcpy(cov[k], &carried[1 + k, 0], n * sizeof(double))
     with nogil:
         for i in range(end - 1, first - 1, -1):
+            saved = &stored[i - first, 0]
             if i + 1 < time.shape[0]:
                 dt = time[i + 1] - time[i]
-                slope = &stored[i - first, stored.shape[1] - 4 * n]
+                slope = saved + stored.shape[1] - 4 * n
                 for k in range(n):
                     sums[k, 0] += 0.5 * dt * r[k] * r[k]
                     sums[k, 1] += 0.5 * dt * cov[k][k]
@@ -398,29 +379,28 @@ def backward(
                 for k in range(n):  # N F, then F' times it
                     for j in range(n):
                         half[k][j] = fade[j] * cov[k][j]
-                    for c in range(4):
-                        add(n, cov[k][c], slope + c * n, half[k])
-                for c in range(4):
-                    add(n, r[c], slope + c * n, new)
+                    for j in range(4):
+                        add(n, cov[k][j], slope + j * n, half[k])
+                for j in range(4):
+                    add(n, r[j], slope + j * n, new)
                 for k in range(n):
                     r[k] = new[k]
                     for j in range(k + 1):
                         part = fade[k] * half[k][j]
-                        for c in range(4):
-                            part += slope[c * n + k] * half[c][j]
+                        for channel in range(4):
+                            part += slope[channel * n + k] * half[channel][j]
                         cov[k][j] = cov[j][k] = part
                     sums[k, 0] += 0.5 * dt * r[k] * r[k]
                     sums[k, 1] += 0.5 * dt * cov[k][k]
             memcpy(&adjoint[i, n], r, n * sizeof(double))
-            saved = &stored[i - first, 0]
             memset(&scores[i, 0], 0, 12 * sizeof(double))
-            for c in range(3, -1, -1):
-                if weights[i, c] <= 0.0:
+            for channel in range(3, -1, -1):
+                if weights[i, channel] <= 0.0:
                     continue
-                h = saved + n * (1 + p + n) + c * width
-                gain = h + n
-                size = gain[n + p + 1]
-                innovation = gain[n + p] - dot(p, gain + n, &change[0])
+                h = saved + n * c + channel * (n + c + 1)
+                size, innovation = h[n + c], -dot(q, h + 2 * n, &change[0])
+                for k in range(n):
+                    gain[k] = h[n + k] / size
                 for k in range(n):
                     along[k] = dot(n, cov[k], gain)
                 u, spread = innovation / size - dot(n, gain, r), 1.0 / size + dot(n, along, gain)
@@ -428,16 +408,13 @@ def backward(
                 for k in range(n):
                     add(n, spread * h[k] - along[k], h, cov[k])
                     add(n, -h[k], along, cov[k])
-                scores[i, c], scores[i, 4 + c] = u, u / sqrt(spread)
-                scores[i, 8 + c] = innovation / sqrt(size)
-                sums[n + c, 0] += noise[c] / weights[i, c] * u * u
-                sums[n + c, 1] += noise[c] / weights[i, c] * spread
+                scores[i, channel], scores[i, 4 + channel] = u, u / sqrt(spread)
+                scores[i, 8 + channel] = innovation / sqrt(size)
+                sums[n + channel, 0] += noise[channel] / weights[i, channel] * u * u
+                sums[n + channel, 1] += noise[channel] / weights[i, channel] * spread
             memcpy(&adjoint[i, 0], r, n * sizeof(double))
-            add(n, 1.0, saved, &smoothed[i, 0])
             for k in range(n):
-                smoothed[i, k] += dot(p, saved + n + k * p, &change[0])
-                smoothed[i, k] += dot(n, saved + n * (1 + p) + k * n, r)
+                smoothed[i, k] += dot(n, saved + k * c, r) + dot(q, saved + k * c + n, &change[0])
+    memcpy(&carried[0, 0], r, n * sizeof(double))
     for k in range(n):
-        carried[0, k] = r[k]
-        for j in range(n):
-            carried[1 + k, j] = cov[k][j]
+        memcpy(&carried[1 + k, 0], cov[k], n * sizeof(double))

@@ -21,25 +21,15 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, one_of
 from sparsefit.likelihood.model import LEVELS, Model
-from sparsefit.likelihood.nodes import FlightLog, Smoothed
-from sparsefit.likelihood.smoother import (
-    ANNEAL,
-    COARSE,
-    EXACT,
-    GAIN,
-    PASSES,
-    PHASE,
-    Ascent,
-    Step,
-    inverted,
-    joined,
-    noisier,
-    summed,
-)
+from sparsefit.likelihood.nodes import FlightLog
+from sparsefit.likelihood.smoother import GAIN, PASSES, Step, Summit, climbed, inverted, noisier
 from sparsefit.likelihood.trellis import Leg, longest_step
 
+COARSE = 200  # rows of a log that the first passes see
+ANNEAL = 1.0  # process noise that the search starts from, in |w|/tau per sqrt(|k| |w|)
+EXACT = 1e-6  # of the flow's length and velocity: noise below it counts as none
 NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
 NEIGHBOURS = 30  # waves beside those of the flow
 NOTHING = 0.1  # degrees of freedom of a level: the parameters feel no less of it
@@ -112,7 +102,6 @@ class Posterior:
         estimated: the names of the levels that were estimated.
         level_information: of the logarithms of their variances, of the first log (l, l).
         reason: why the search did not end at the optimum; empty where it did.
-        passes: the number of passes over few rows, and over all.
         ladder: likelihoods at more process noise, of one log where it fell to nothing.
     """
 
@@ -123,7 +112,6 @@ class Posterior:
     estimated: tuple[str, ...]
     level_information: Array
     reason: str
-    passes: tuple[int, int]
     ladder: tuple[Rung, ...] = ()
 
     @property
@@ -158,9 +146,10 @@ class Posterior:
     def innovations(self) -> tuple[Array, ...]:
         """Of each log, standardised (m, 4); NaN where there is no reading, or one left out."""
         return tuple(
-            np.where(leg.nodes.weights > 0.0, leg.last.scores[:, 8:], np.nan)
+            np.where(
+                leg.nodes.weights > 0.0, leg.last.scores[:, 8:] if leg.last else np.nan, np.nan
+            )
             for leg in self.legs
-            if leg.last is not None
         )
 
     @cached_property
@@ -173,10 +162,10 @@ class Posterior:
         """The log-likelihood that process noise gains."""
         if self.ladder:
             return self.log_likelihood - self.ladder[0].value
-        degrees = max(float(leg.last.squares[0, 1]) for leg in self.legs if leg.last is not None)
-        if degrees <= NOTHING:
+        degrees = [float(leg.last.squares[0, 1]) for leg in self.legs if leg.last]
+        if not degrees or max(degrees) <= NOTHING:
             return 0.0
-        fall = 0.5 * math.log(NOTHING / degrees)
+        fall = 0.5 * math.log(NOTHING / max(degrees))
         return self.log_likelihood - Rung.of(self.legs, fall, LEVELS[0]).value
 
     @property
@@ -271,10 +260,8 @@ class Posterior:
 
     def scores(self, extra: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
         """Score (q,) and information (q, q) by the free parameters and others, and their names."""
-        local = tuple(dict.fromkeys((*self.model.names, *extra)))
-        names, places = joined(local, len(self.legs))
-        passes = [replace(leg, last=None).forward(local, keep=False) for leg in self.legs]
-        return names, *summed(passes, places)
+        step = Step.of([replace(leg, last=None) for leg in self.legs], extra, keep=False)
+        return step.names, step.score, step.information
 
 
 def measure(
@@ -299,11 +286,10 @@ def measure(
         InputError: if a level or a parameter has no such name, or the log has gaps too long.
     """
     records, models = _about(logs, model)
+    own = list(models[0].disturbance.levels)
     for name in levels:
-        if name not in models[0].disturbance.levels:
-            valid = ", ".join(models[0].disturbance.levels)
-            raise InputError(f"no level {name!r} in this model (known: {valid})")
-    wanted = [list(models[0].disturbance.levels).index(name) for name in levels]
+        one_of("level", name, own)
+    wanted = [own.index(name) for name in levels]
     floors = []
     for each in models:
         pattern, floor = each.pattern, np.full(len(each.disturbance.levels), 1e-150)
@@ -316,15 +302,11 @@ def measure(
         if 0 not in wanted:
             floor[0] = max(each.disturbance.acceleration, 1e-9)
         floors.append(floor)
-    ascent, few, hold = Ascent(wanted, tuple(floors)), 0, 0
-    pairs = list(zip(records, models, strict=True))
+    hold, pairs = 0, list(zip(records, models, strict=True))
     with np.errstate(all="ignore"):  # a step that is no number is not taken
         if start is None:
             strides = [
-                min(
-                    len(log.time) / COARSE,
-                    4.0 * longest_step(log, each, PHASE) / float(np.median(np.diff(log.time))),
-                )
+                min(len(log.time) / COARSE, 4.0 * longest_step(log, each) / log.interval)
                 for log, each in pairs
             ]
             stride, hold = max(int(min(strides)), 1), 2
@@ -332,84 +314,66 @@ def measure(
             rate = math.sqrt(2.0) * math.pi * speed / length + 1e-9
             annealed = ANNEAL * speed / math.sqrt(rate)
             legs = tuple(
-                noisier(Leg.of(*pair, PHASE, stride), annealed / each.values["response_time"])
-                for pair, each in zip(pairs, models, strict=True)
+                noisier(Leg.of(*pair, stride), annealed / pair[1].values["response_time"])
+                for pair in pairs
             )
             if stride > 1:
-                step, smoothed, few, _ = ascent.climbed(legs, PASSES)
-                hold = 0
-                legs = tuple(leg.again(PHASE, 1) for leg in step.moved(smoothed))
+                few, hold = climbed(legs, wanted, floors, PASSES), 0
+                legs = tuple(leg.again(1) for leg in few.legs)
         else:
             legs = tuple(
-                Leg.of(*pair, PHASE, 1, (leg.nodes.time, leg.track))
+                Leg.of(*pair, 1, (leg.nodes.time, leg.track))
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
-        step, smoothed, whole, reason = ascent.climbed(legs, hold, passes)
-        ladder = () if reason or 0 not in wanted else _above(step, smoothed, floors)
+        summit, ladder = climbed(legs, wanted, floors, hold, passes), tuple[Rung, ...]()
+        if 0 in wanted and not summit.reason:
+            ladder = _above(summit, floors)
         highest = max(ladder, key=lambda rung: rung.value, default=None)
-        if highest and highest.height > 0.0 and highest.value > step.reached + 10.0 * GAIN:
-            raised = tuple(leg.louder(highest.height) for leg in step.moved(smoothed))
-            again = ascent.climbed(raised, 0, passes)
-            whole += again[2]
-            if again[0].reached > step.reached:
-                before = step.moved(smoothed)[0].model.disturbance.acceleration
-                step, smoothed, _, reason = again
-                fall = math.log(before / step.moved(smoothed)[0].model.disturbance.acceleration)
+        if highest and highest.height > 0.0 and highest.value > summit.value + 10.0 * GAIN:
+            raised = tuple(leg.louder(highest.height) for leg in summit.legs)
+            again = climbed(raised, wanted, floors, 0, passes)
+            if again.value > summit.value:
+                before, after = (own.legs[0].model.disturbance for own in (summit, again))
+                fall, summit = math.log(before.acceleration / after.acceleration), again
                 ladder = tuple(replace(rung, height=rung.height + fall) for rung in ladder)
-    shape = np.ix_(wanted, wanted)
-    information = step.levels[0][shape] if step.levels[0].size else np.zeros((len(wanted),) * 2)
-    names = joined(models[0].names, len(models))[0]
+    step, size = summit.step, len(wanted)
+    known = step.levels[0]
     return Posterior(
-        step.moved(smoothed), names, step.information, step.reached, tuple(levels), information,
-        reason, (few, whole), ladder if len(records) == 1 else (),
+        summit.legs, step.names, step.information, summit.value, tuple(levels),
+        known[np.ix_(wanted, wanted)] if known.size else np.zeros((size, size)),
+        summit.reason, ladder if len(records) == 1 else (),
     )  # fmt: skip
 
 
-def _above(step: Step, smoothed: tuple[Smoothed, ...], floors: Sequence[Array]) -> tuple[Rung, ...]:
+def _above(summit: Summit, floors: Sequence[Array]) -> tuple[Rung, ...]:
     """Rungs of process noise that fell to nothing: the likelihood may have a maximum above."""
-    legs = step.moved(smoothed)
-    levels = [leg.model.disturbance.levels for leg in legs]
-    seen = max(float(each.squares[0, 1]) for each in smoothed)
+    levels = [leg.model.disturbance.levels for leg in summit.legs]
+    seen = max(float(leg.last.squares[0, 1]) for leg in summit.legs if leg.last)
     exact = all(
         min(level["position_noise"] / floor[1], level["velocity_noise"] / floor[2]) < 2.0
         for level, floor in zip(levels, floors, strict=True)
     )
-    if exact or legs[0].model.disturbance.processes or not 0.0 < seen < 2.0:
+    if exact or summit.legs[0].model.disturbance.processes or not 0.0 < seen < 2.0:
         return ()
-    optimum = Rung(0.0, step.reached, step.covariance)
-    return climbed_levels(legs, optimum, seen, LEVELS[0], least=FAR)
+    optimum = Rung(0.0, summit.value, summit.step.covariance)
+    return climbed_levels(summit.legs, optimum, seen, LEVELS[0], least=FAR)
 
 
-def bound(
-    logs: FlightLog | Sequence[FlightLog],
-    model: Model | Sequence[Model],
-    states: Sequence[Array] | None = None,
-) -> Array:
+def bound(logs: Sequence[FlightLog], models: Sequence[Model], states: Sequence[Array]) -> Array:
     """Return the Cramer-Rao bound of the free parameters (p, p), levels as they are.
 
     Args:
-        logs: the times of readings and which are missing; their values do not matter where
-            `states` are given.
-        model: the true model of all logs, or of each.
-        states: the true positions and velocities (m, 4) at the rows of each log; without them the
-            trajectories are smoothed with the parameters known.
+        logs: the times of readings and which are missing; their values do not matter.
+        models: the true model of each log.
+        states: the true positions and velocities (m, 4) at the rows of each log.
 
     Raises:
         InputError: if the logs do not see a free parameter.
     """
-    records, models = _about(logs, model)
-    paths = []
-    if states is None:
-        known = [each.known(*each.names) for each in models]
-        paths = [(leg.nodes.time, leg.track) for leg in measure(records, known, ()).legs]
-    else:
-        for log, each, state in zip(records, models, states, strict=True):
-            x, y, t = each.pattern.origin
-            paths.append((log.time - t, np.asarray(state, dtype=np.float64) - [x, y, 0.0, 0.0]))
-    legs = tuple(
-        Leg.of(log, each, PHASE, 1, path)
-        for log, each, path in zip(records, models, paths, strict=True)
-    )
+    legs = []
+    for log, each, state in zip(*_about(logs, models), states, strict=True):
+        x, y, t = each.pattern.origin
+        legs.append(Leg.of(log, each, 1, (log.time - t, state - np.array([x, y, 0.0, 0.0]))))
     step = Step.of(legs, keep=False)
     if step.blind:
         raise InputError(f"the log does not see all of {', '.join(step.blind)}: there is no bound")

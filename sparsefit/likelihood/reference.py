@@ -1,6 +1,6 @@
 """The passes in plain NumPy: a step of the motion with its derivatives, the filter, the adjoint.
 
-The state is written as a deviation delta from a track s-bar, theta as one from its value:
+The state is a deviation delta from a track s-bar, theta one from its value:
 
     delta_i+1 = F_i delta_i + g_i + E_i dtheta + kick,    g_i = f(s-bar_i) - s-bar_i+1
     z_i - h(s-bar_i) = H_i delta_i + D_i dtheta + noise
@@ -9,15 +9,16 @@ f is one step of Runge and Kutta's fourth order. F, E, H and D are exact: deriva
 step, Im f(x + i h)/h (Squire and Trapp 1998, SIAM Rev. 40, 110). Half of a step's kick comes before
 it, half after, less a third of what the first half makes of the position: what is left where a
 step is short is the variance dt^3/3 of a position that white noise accelerates. The filter runs at
-dtheta = 0 and carries V = d delta/d dtheta (Friedland 1969, IEEE Trans. Autom. Control 14, 359); an
-innovation is then e - G dtheta, and
+dtheta = 0 and carries V = d delta/d dtheta (Friedland 1969, IEEE Trans. Autom. Control 14, 359),
+side by side with its covariance as `rows` [P, delta, V]. With an innovation e - G dtheta of the
+variance S, `sums` adds (-e, G)'(-e, G)/S up:
 
     log L(dtheta) = log L(0) + b' dtheta - dtheta' J dtheta/2,   J = sum G'G/S,   b = sum G'e/S
 
 Backwards runs the adjoint r of the state (Bryson and Frazier 1963) with its covariance N:
 delta_i given all = delta_i predicted + P_i r_i, and the score of the variance of a kick is
 (r^2 - N)/2 (Koopman and Shephard 1992, Biometrika 79, 823). `passes.pyx` is this file compiled,
-with derivatives by hand; `nodes.Pass` calls either.
+with derivatives by hand.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from sparsefit.arrays import Array
 
 if TYPE_CHECKING:
     from sparsefit.likelihood.model import StateSpace
-    from sparsefit.likelihood.nodes import Nodes, Smoothed, State
+    from sparsefit.likelihood.nodes import Nodes
+    from sparsefit.likelihood.trellis import Smoothed
 
 OWN = 22  # elements before those of the waves, in the order of `model.ELEMENTS`
 SMALL = 1e-30  # the complex step
@@ -118,7 +120,8 @@ def forward(
     first: int,
     end: int,
     last: Smoothed | None,
-    state: State,
+    rows: Array,
+    sums: Array,
     stored: Array | None,
 ) -> float:
     """Filter the nodes from `first` to `end`, and go on to the node at `end` if there is one.
@@ -129,64 +132,64 @@ def forward(
         track: s-bar (m, n).
         first, end: the block of nodes.
         last: the last backward pass, which the columns of the levels need; None: there are none.
-        state: of the filter at the first node; changed in place.
-        stored: written for the backward pass (end - first, ...); None: not wanted.
+        rows: P, delta and V (n, n + 1 + q) at the first node, changed in place; the columns are
+            those of the parameters (p,), then of the logarithms of the levels.
+        sums: (1 + q, 1 + q), added to.
+        stored: written for the backward pass (end - first, `width`); None: not wanted.
 
     Returns:
-        The log-likelihood of the block at dtheta = 0, -inf where rounding has won.
+        The sum of log(2 pi S), infinite where rounding has won.
     """
-    p, n = space.chain.shape[1], track.shape[1]
-    delta, sensitivity, covariance = state.delta, state.sensitivity, state.covariance
+    n, p = track.shape[1], space.chain.shape[1]
+    c, half = n + 1 + p, np.diag_indices(n)
     part = slice(first, min(end + 1, len(nodes.time)))
     time, along = nodes.time[part], track[part]
     ahead, matrices, inputs = transitions(space, time, nodes.push[part], along)
     seen, slopes = derived(lambda e, s: reading(space, e, s), space, along.T)
-    kick, spread = space.kicks.sum(axis=0), space.noise.sum(axis=0)
-    total, response, half = 0.0, np.zeros(len(state.score)), np.diag_indices(n)
+    kick, spread, total = space.kicks.sum(axis=0), space.noise.sum(axis=0), 0.0
     for i, node in enumerate(range(first, end)):
         if stored is not None:
-            before = (delta, sensitivity[:, :p].ravel(), covariance.ravel())
-            stored[i, : n * (1 + p + n)] = np.concatenate(before)
-            gains = stored[i, n * (1 + p + n) : -4 * n].reshape(4, 2 * n + p + 2)
-            gains[:] = 0.0
+            stored[i, : n * c] = rows[:, :c].ravel()
+            gains = stored[i, n * c : -4 * n].reshape(4, n + c + 1)
         for channel in np.flatnonzero(nodes.weights[node]):
             h, weight = slopes[i, channel, :n], nodes.weights[node, channel]
-            response[:p] = slopes[i, channel, n:]
+            response = h @ rows  # H P, -e and G
+            response[n] += seen[i, channel] - nodes.measured[node, channel]
+            response[n + 1 : c] += slopes[i, channel, n:]
             if last is not None:
-                response[p:] = space.noise[:, channel] * last.scores[node, channel] / weight
-            gain = covariance @ h
-            size = gain @ h + spread[channel] / weight
+                response[c:] += space.noise[:, channel] * last.scores[node, channel] / weight
+            size = response[:n] @ h + spread[channel] / weight
             if not size > 0.0:  # the covariance has lost its sign
-                return -math.inf
-            innovation = nodes.measured[node, channel] - seen[i, channel] - h @ delta
-            response += h @ sensitivity
+                return math.inf
+            rows -= np.outer(response[:n] / size, response)
+            sums += np.outer(response[n:] / size, response[n:])
+            total += math.log(2.0 * math.pi * size)
             if stored is not None:
-                gains[channel] = np.concatenate([h, gain / size, response[:p], [innovation, size]])
-            delta += gain * (innovation / size)
-            sensitivity -= np.outer(gain / size, response)
-            covariance -= np.outer(gain, gain / size)
-            state.score[:] += response * (innovation / size)
-            state.information[:] += np.outer(response, response / size)
-            total -= 0.5 * (innovation**2 / size + math.log(2.0 * math.pi * size))
+                gains[channel] = np.concatenate([h, response[:c], [size]])
         if node + 1 == len(nodes.time):
             break
         step, matrix = time[i + 1] - time[i], matrices[i]
-        if last is not None:
-            sensitivity[:, p:] += 0.5 * step * (space.kicks * last.adjoint[node, n:]).T
-        covariance[half] += 0.5 * step * kick
-        delta[:] = matrix @ delta + ahead[i] - along[i + 1]
-        sensitivity[:] = matrix @ sensitivity
-        sensitivity[:, :p] += inputs[i]
-        covariance[:] = matrix @ covariance @ matrix.T
-        covariance[half] += 0.5 * step * kick
         excess = step / 6.0 * matrix[range(2), range(2, 4)] ** 2
-        covariance[range(2), range(2)] -= excess * kick[2:4]
         if last is not None:
-            sensitivity[:, p:] += 0.5 * step * (space.kicks * last.adjoint[node + 1, :n]).T
-            sensitivity[:2, p:] -= (excess * space.kicks[:, 2:4] * last.adjoint[node + 1, :2]).T
+            rows[:, c:] += 0.5 * step * (space.kicks * last.adjoint[node, n:]).T
+        rows[half] += 0.5 * step * kick
+        rows[:] = matrix @ rows
+        rows[:, :n] = rows[:, :n] @ matrix.T
+        rows[half] += 0.5 * step * kick
+        rows[range(2), range(2)] -= excess * kick[2:4]
+        rows[:, n] += ahead[i] - along[i + 1]
+        rows[:, n + 1 : c] += inputs[i]
+        if last is not None:
+            rows[:, c:] += 0.5 * step * (space.kicks * last.adjoint[node + 1, :n]).T
+            rows[:2, c:] -= (excess * space.kicks[:, 2:4] * last.adjoint[node + 1, :2]).T
         if stored is not None:
             stored[i, -4 * n :] = matrix[:4].ravel()
     return total
+
+
+def width(n: int, p: int) -> int:
+    """The numbers that a node of n states and p parameters stores for the backward pass."""
+    return n * (n + 1 + p) + 4 * (2 * n + p + 2) + 4 * n
 
 
 def backward(
@@ -204,7 +207,7 @@ def backward(
 
     Args:
         space, nodes, first, end: as of `forward`.
-        change: dtheta (p,) of the parameters.
+        change: 1, then dtheta of the parameters (1 + p,).
         stored: written by `forward`.
         carried: r and N of the node after the block (1 + n, n): changed in place.
         result: its delta is added to the track; its adjoint and scores are written.
@@ -212,7 +215,7 @@ def backward(
             velocity less their excess; then (4, 2) of R u^2 and of R times its variance over the
             readings: added to.
     """
-    n, p = carried.shape[1], len(change)
+    n, c = carried.shape[1], carried.shape[1] + len(change)
     r, covariance, noise = carried[0], carried[1:], space.noise.sum(axis=0)
     for node in range(end - 1, first - 1, -1):
         saved = stored[node - first]
@@ -228,11 +231,11 @@ def backward(
             covariance[:] = matrix.T @ covariance @ matrix
             sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])
         result.adjoint[node, n:] = r
-        gains = saved[n * (1 + p + n) : -4 * n].reshape(4, 2 * n + p + 2)
+        gains = saved[n * c : -4 * n].reshape(4, n + c + 1)
         result.scores[node] = 0.0
         for channel in np.flatnonzero(nodes.weights[node])[::-1]:
-            h, gain, response = np.split(gains[channel, :-2], [n, 2 * n])
-            innovation, size = gains[channel, -2] - response @ change, gains[channel, -1]
+            h, response, size = gains[channel, :n], gains[channel, n:-1], gains[channel, -1]
+            gain, innovation = response[:n] / size, -response[n:] @ change
             along = covariance @ gain
             u, spread = innovation / size - gain @ r, 1.0 / size + gain @ along
             row = u, u / math.sqrt(spread), innovation / math.sqrt(size)
@@ -242,6 +245,5 @@ def backward(
             variance = noise[channel] / nodes.weights[node, channel]
             sums[n + channel] += variance * u * u, variance * spread
         result.adjoint[node, :n] = r
-        delta, sensitivity, predicted = np.split(saved[: n * (1 + p + n)], [n, n * (1 + p)])
-        result.track[node] += delta + sensitivity.reshape(n, p) @ change
-        result.track[node] += predicted.reshape(n, n) @ r
+        filtered = saved[: n * c].reshape(n, c)
+        result.track[node] += filtered[:, :n] @ r + filtered[:, n:] @ change

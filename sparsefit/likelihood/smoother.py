@@ -2,9 +2,12 @@
 
 A pass linearises the motion along the last track, filters forward and smooths backward, which is
 one Gauss-Newton step on trajectory and parameters together (Bell 1994, SIAM J. Optim. 4, 626).
-Levels move in the same passes (`levels`). The process noise comes down from a level at which
-every start converges; the first passes see few rows. Where it ends at nothing, a short ladder
-looks for a higher maximum above.
+
+Levels move in the same passes. With the derivative of log L by the logarithm of a variance written
+as a - n, a = sum r^2/2 of what was smoothed and n its expectation, a variance moves far from the
+optimum by a secant on log(a/n), near it by scoring with the average information (Gilmour, Thompson
+and Cullis 1995, Biometrics 51, 1440), linear in the variances, so that a level that falls to
+nothing takes the others with it.
 """
 
 from __future__ import annotations
@@ -16,17 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.likelihood.levels import LevelSteps
 from sparsefit.likelihood.model import ELEMENTS, StateSpace
-from sparsefit.likelihood.nodes import Smoothed
-from sparsefit.likelihood.trellis import Leg, Pass
+from sparsefit.likelihood.nodes import Nodes
+from sparsefit.likelihood.trellis import Leg, Pass, Smoothed
 
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
-
-
-COARSE = 200  # rows of a log that the first passes see
-PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion
-ANNEAL = 1.0  # process noise that the search starts from, in |w|/tau per sqrt(|k| |w|)
+INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise
 PASSES = 30  # at most, on few rows and on all
 GAIN = 0.005  # of the log-likelihood, that a last pass may still bring
 LIFTS = 2  # times that the search may start again with ten times the process noise
@@ -34,64 +32,75 @@ NEGLIGIBLE = 0.01  # degrees of freedom that a level may take and count as zero
 GATE = 4.5  # deviations beyond which a reading is left out
 OUTLIERS = 0.2  # the largest share of readings that may be left out
 SORTING = 8  # passes after which no reading is left out or taken in any more
-EXACT = 1e-6  # of the flow's length and velocity: noise below it counts as none
 DEPENDENT = 1e-11  # the least eigenvalue of the scaled information of an observable model
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One pass of all logs, forward and, where it was wanted, backward.
+    """One pass of all logs, and the Gauss-Newton step from there.
 
     Args:
         passes: the forward passes.
+        names: of the free parameters (p,); "tau@2" is that of the second log.
         places: per log, the places of its parameters among all.
-        value: the log-likelihood at the start.
-        gain: that the step should gain.
-        change: of the free parameters (p,).
-        information: of the free parameters (p, p).
+        score: b (p,).
+        information: J (p, p).
         covariance: its inverse, where it has one.
-        levels: per log, the average information of the logarithms of the variances (l, l).
         blind: the names that the logs cannot tell from each other, if any.
     """
 
     passes: tuple[Pass, ...]
+    names: tuple[str, ...]
     places: list[list[int]]
-    value: float
-    gain: float
-    change: Array
+    score: Array
     information: Array
     covariance: Array
-    levels: list[Array]
     blind: tuple[str, ...]
 
     @classmethod
-    def of(cls, legs: Sequence[Leg], *, keep: bool = True) -> Step:
-        """Filter all logs, and solve for the change of the free parameters."""
-        local = legs[0].model.names
-        names, places = joined(local, len(legs))
-        passes, p = tuple(leg.forward(local, keep=keep) for leg in legs), len(local)
-        score, information = summed(passes, places)
-        covariance, blind = inverted(information)
-        change, levels = covariance @ score, []
+    def of(cls, legs: Sequence[Leg], names: Sequence[str] = (), *, keep: bool = True) -> Step:
+        """Filter all logs; names: of parameters beside those that are free."""
+        own = tuple(dict.fromkeys((*legs[0].model.names, *names)))
+        every, places, p = list(own), [], len(own)
+        for number in range(1, len(legs) + 1):
+            suffix = f"@{number}" if number > 1 else ""
+            local = [f"{n}{suffix}" if n in ELEMENTS and n not in SHARED else n for n in own]
+            every += [name for name in local if name not in every]
+            places.append([every.index(name) for name in local])
+        passes = tuple(leg.forward(own, keep=keep) for leg in legs)
+        score, information = np.zeros(len(every)), np.zeros((len(every), len(every)))
         for each, place in zip(passes, places, strict=True):
-            cross = each.information[p:, :p]
-            known = cross @ covariance[np.ix_(place, place)] @ cross.T
-            levels.append(0.5 * (each.information[p:, p:] - known))
-        value, gain = float(sum(each.value for each in passes)), 0.5 * float(score @ change)
-        unseen = tuple(names[j] for j in blind)
-        return cls(
-            passes, places, value, gain, change, information, covariance, levels, unseen
-        )  # fmt: skip
+            score[place] += each.score[:p]
+            information[np.ix_(place, place)] += each.information[:p, :p]
+        covariance, blind = inverted(information)
+        unseen = tuple(every[j] for j in blind)
+        return cls(passes, tuple(every), places, score, information, covariance, unseen)
 
     @property
-    def legs(self) -> tuple[Leg, ...]:
-        """The logs, where the step was linearised."""
-        return tuple(each.leg for each in self.passes)
+    def change(self) -> Array:
+        """The step of the parameters (p,)."""
+        change: Array = self.covariance @ self.score
+        return change
+
+    @property
+    def gain(self) -> float:
+        """The log-likelihood that the step should gain."""
+        return 0.5 * float(self.score @ self.change)
 
     @property
     def reached(self) -> float:
         """The log-likelihood after the step, to second order."""
-        return self.value + self.gain
+        return float(sum(each.value for each in self.passes)) + self.gain
+
+    @property
+    def levels(self) -> list[Array]:
+        """Per log, the average information of the logarithms of the variances (l, l)."""
+        levels = []
+        for each, place in zip(self.passes, self.places, strict=True):
+            cross, p = each.information[len(place) :, : len(place)], len(place)
+            along = cross @ self.covariance[np.ix_(place, place)] @ cross.T
+            levels.append(0.5 * (each.information[p:, p:] - along))
+        return levels
 
     def smoothed(self) -> tuple[Smoothed, ...]:
         """The backward passes."""
@@ -102,11 +111,11 @@ class Step:
         self,
         smoothed: tuple[Smoothed, ...],
         share: float = 1.0,
-        levels: list[Array] | None = None,
+        levels: Sequence[Array] | None = None,
     ) -> tuple[Leg, ...]:
-        """The legs after a share of the step of tracks, parameters and logarithms of variances."""
+        """The logs after a share of the step of tracks, parameters and logarithms of variances."""
         moved = []
-        for i, (leg, each) in enumerate(zip(self.legs, smoothed, strict=True)):
+        for i, (leg, each) in enumerate(zip((p.leg for p in self.passes), smoothed, strict=True)):
             steps = zip(leg.model.names, share * self.change[self.places[i]], strict=True)
             model = leg.model.at({name: leg.model.values[name] + step for name, step in steps})
             if levels is not None:
@@ -118,146 +127,197 @@ class Step:
         return tuple(moved)
 
 
-@dataclass(frozen=True)
-class Ascent:
-    """The way up: all that does not change from pass to pass.
+@dataclass(frozen=True, eq=False)
+class Summit:
+    """The end of a search.
 
     Args:
-        wanted: the places of the levels that are estimated.
-        floors: per log, standard deviations (l,) that no level goes below.
+        legs: the logs at the optimum, with their smoothed passes.
+        step: the last one.
+        value: the log-likelihood.
+        reason: why the search did not converge; empty where it did.
     """
 
-    wanted: list[int]
-    floors: tuple[Array, ...]
+    legs: tuple[Leg, ...]
+    step: Step
+    value: float
+    reason: str
 
-    def climbed(
-        self, start: tuple[Leg, ...], hold: int, most: int = PASSES
-    ) -> tuple[Step, tuple[Smoothed, ...], int, str]:
-        """Pass after pass while the likelihood rises.
 
-        Args:
-            start: the legs where the search starts.
-            hold: the passes before the levels of the instruments move.
-            most: passes.
+def climbed(
+    legs: tuple[Leg, ...], wanted: list[int], floors: Sequence[Array], hold: int, most: int = PASSES
+) -> Summit:
+    """Pass after pass while the likelihood rises.
 
-        Returns:
-            The last pass that was accepted, forward and backward, the number of passes, and the
-            reason why the search did not converge.
-        """
-        legs, reason, halvings, lifts, fresh = start, "", 0, 0, True
-        scouts = self._scouts(hold)
-        history: list[float] = []
-        best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
-        count = 0
-        while count < most:
-            count += 1
-            step = Step.of(legs)
-            fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
-            if fallen or not math.isfinite(step.reached):
-                if best is not None and halvings < 4:
-                    halvings += 1
-                    legs = self._placed(best[0].moved(best[1], 0.5**halvings, best[2]))
-                    continue
-                if lifts == LIFTS:
-                    reason = "the likelihood cannot be raised from where the search started"
-                    break
+    Args:
+        legs: where the search starts.
+        wanted: the places of the levels that are estimated.
+        floors: per log, standard deviations (l,) that no level goes below.
+        hold: the passes before the levels of the instruments move.
+        most: passes.
+    """
+    reason, halvings, lifts, fresh = "", 0, 0, True
+    scouts = [LevelSteps(wanted, floor, hold) for floor in floors]
+    history: list[float] = []
+    best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
+
+    def placed(share: float) -> tuple[Leg, ...]:
+        """The logs after a share of the best step, on the nodes of their latency."""
+        assert best is not None
+        moved = best[0].moved(best[1], share, best[2])
+        late = "latency" in moved[0].model.names
+        return tuple(leg.again(leg.stride) for leg in moved) if late else moved
+
+    for _ in range(most):
+        step = Step.of(legs)
+        fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
+        if fallen or not math.isfinite(step.reached):
+            if best is not None and halvings < 4:
+                halvings += 1
+                legs = placed(0.5**halvings)
+            elif lifts < LIFTS:
+                before = legs if best is None else [each.leg for each in best[0].passes]
                 legs = tuple(
                     noisier(leg, max(10.0 * leg.model.disturbance.acceleration, 0.01))
-                    for leg in (legs if best is None else best[0].legs)
+                    for leg in before
                 )
-                best, lifts, halvings, fresh, scouts = None, lifts + 1, 0, True, self._scouts(hold)
-                continue
-            halvings, smoothed = 0, step.smoothed()
-            fresh = len(history) < SORTING and self._gated(legs, smoothed)
-            history.append(step.reached)
-            moves = [
-                scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
-                for scout, leg, each, levels in zip(
-                    scouts, legs, smoothed, step.levels, strict=True
-                )
-            ]
-            best = step, smoothed, [change for change, _ in moves]
-            gains = sum(gain for _, gain in moves)
-            enough = GAIN * (30.0 if legs[0].stride > 1 else 1.0)
-            level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
-            if not fresh and step.gain < enough and (gains < enough or level):
+                best, lifts, halvings, fresh = None, lifts + 1, 0, True
+                scouts = [LevelSteps(wanted, floor, hold) for floor in floors]
+            else:
+                reason = "the likelihood cannot be raised from where the search started"
                 break
-            legs = self._placed(step.moved(smoothed, 1.0, best[2]))
-        else:
-            reason = f"not at the maximum after {most} passes"
-        if best is None:  # the tracks as they were
-            nothing = tuple(
-                Smoothed(leg.track, np.zeros((len(leg.track) + 1, 2 * leg.track.shape[1])),
-                         np.full((len(leg.track), 12), np.nan), np.zeros((len(floor), 2)))
-                for leg, floor in zip(step.legs, self.floors, strict=True)
-            )  # fmt: skip
-            still = replace(step, value=-math.inf, gain=0.0, change=np.zeros_like(step.change))
-            return still, nothing, count, reason
-        if best[0].blind and not reason:
-            *others, final = best[0].blind
-            reason = f"the log cannot tell {', '.join(others)} from {final}" if others else (
-                f"the log does not see {final}"
-            )  # fmt: skip
-        return best[0], best[1], count, reason
+            continue
+        halvings, smoothed = 0, step.smoothed()
+        sorted_out = zip(legs, smoothed, strict=True) if len(history) < SORTING else ()
+        fresh = sum(_gated(*pair) for pair in sorted_out) > 0
+        history.append(step.reached)
+        moves = [
+            scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
+            for scout, leg, each, levels in zip(scouts, legs, smoothed, step.levels, strict=True)
+        ]
+        best = step, smoothed, [change for change, _ in moves]
+        gains = sum(gain for _, gain in moves)
+        enough = GAIN * (30.0 if legs[0].stride > 1 else 1.0)
+        level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
+        if not fresh and step.gain < enough and (gains < enough or level):
+            break
+        legs = placed(1.0)
+    else:
+        reason = f"not at the maximum after {most} passes"
+    if best is None:
+        return Summit(legs, step, -math.inf, reason)
+    step, smoothed, _ = best
+    if step.blind and not reason:
+        *others, final = step.blind
+        reason = f"the log cannot tell {', '.join(others)} from {final}" if others else (
+            f"the log does not see {final}"
+        )  # fmt: skip
+    return Summit(step.moved(smoothed), step, step.reached, reason)
 
-    def _scouts(self, hold: int) -> list[LevelSteps]:
-        """Steps of the levels of each log, far from the optimum."""
-        return [LevelSteps(self.wanted, floors, NEGLIGIBLE, hold) for floors in self.floors]
 
-    def _placed(self, legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
-        """The legs on nodes of their latency, where that may have moved."""
-        if "latency" not in legs[0].model.names:
-            return legs
-        return tuple(leg.again(PHASE, leg.stride) for leg in legs)
+def _gated(leg: Leg, smoothed: Smoothed) -> bool:
+    """Leave readings out that all others contradict, take in those that they bear out.
 
-    def _gated(self, legs: tuple[Leg, ...], smoothed: tuple[Smoothed, ...]) -> bool:
-        """Leave readings out that all others contradict, take in those that they bear out.
+    Returns:
+        Whether any weight changed.
+    """
+    nodes: Nodes = leg.nodes
+    far = np.abs(smoothed.scores[:, 4:8])
+    if not far.max() > GATE and ((nodes.weights > 0.0) == nodes.seen).all():
+        return False
+    if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: there is no model yet
+        return False
+    noise = np.sqrt(StateSpace.of(leg.model).noise.sum(axis=0))
+    away = np.abs(nodes.measured - smoothed.track[:, :4]) / noise
+    out = (nodes.weights == 0.0) & (away > GATE)
+    out = nodes.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))
+    if out.sum() > OUTLIERS * nodes.seen.sum():
+        return False
+    weights = np.where(nodes.seen & ~out, 1.0, 0.0)
+    changed = bool((weights != nodes.weights).any())
+    nodes.weights[:] = weights
+    return changed
 
-        Returns:
-            Whether any weight changed.
+
+class LevelSteps:
+    """The steps of the logarithms of the variances of one log, pass after pass."""
+
+    def __init__(self, wanted: list[int], floors: Array, hold: int) -> None:
+        """Begin far from the optimum; the arguments are those of `climbed`."""
+        self.wanted, self.floors, self.hold = wanted, floors, hold
+        self.count, self.gain = 0, math.inf
+        self.before: tuple[Array, Array] | None = None
+
+    def change(
+        self, levels: list[float], squares: Array, information: Array
+    ) -> tuple[Array, float]:
+        """Return the step (l,) of the logarithms, and what it may gain.
+
+        Args:
+            levels: standard deviations (l,).
+            squares: a and n (l, 2).
+            information: of the logarithms (l, l), or of no rows.
         """
-        changed = False
-        for leg, each in zip(legs, smoothed, strict=True):
-            nodes, far = leg.nodes, np.abs(each.scores[:, 4:8])
-            if not far.max() > GATE and ((nodes.weights > 0.0) == nodes.seen).all():
-                continue
-            if np.median(far[nodes.weights > 0.0]) > 0.85:
-                continue  # a normal one's is .67: there is no model yet
-            noise = np.sqrt(StateSpace.of(leg.model).noise.sum(axis=0))
-            away = np.abs(nodes.measured - each.track[:, :4]) / noise
-            out = (nodes.weights == 0.0) & (away > GATE)
-            out = nodes.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))
-            if out.sum() <= OUTLIERS * nodes.seen.sum():
-                weights = np.where(nodes.seen & ~out, 1.0, 0.0)
-                changed |= bool((weights != nodes.weights).any())
-                nodes.weights[:] = weights
-        return changed
+        self.count += 1
+        (a, n), step = squares.T, np.zeros(len(levels))
+        place = 2.0 * np.log(np.maximum(levels, 1e-150))
+        lowest = np.minimum(2.0 * np.log(self.floors) - place, 0.0)
+        few = np.where(np.isin(np.arange(len(a)), INSTRUMENTS), 5.0, 1e-300)
+        ratio = np.log((a + few) / (n + few))  # few readings' worth says little of their noise
+        active = [
+            j
+            for j in self.wanted
+            if max(a[j], n[j]) > NEGLIGIBLE and (lowest[j] < -1e-3 or ratio[j] > 0.0)
+        ]
+        annealing = 0 not in self.wanted and lowest[0] < -1e-3
+        if annealing:
+            step[0] = -math.log(100.0) if n[0] > NEGLIGIBLE else lowest[0]
+        moving = active
+        if self.count <= self.hold or annealing:
+            active = [j for j in active if j not in INSTRUMENTS]
+        share, gain = np.zeros(len(levels)), math.inf
+        if self.gain < 10.0 and len(information) and active:
+            least = np.where(np.isin(active, INSTRUMENTS), -0.7, -0.99)
+            block = information[np.ix_(active, active)]
+            share[active] = _bounded(block, (a - n)[active], least)
+            gain = float((a - n) @ share)
+        near = not active or 0.0 <= gain < 10.0
+        if near:
+            step[active] = np.log1p(share[active])
+            self.gain = gain if active else 0.0
+        else:
+            slope = np.where(few > 1.0, 1.0, 0.4)
+            if self.before is not None:
+                away = place - self.before[0]
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    secant = np.clip((self.before[1] - ratio) / away, 0.2, 1.0)
+                slope = np.where(np.abs(away) > 0.05, secant, slope)
+            step[active] = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))[active]
+            moving = moving if self.count >= self.hold else active
+            self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[moving].sum())
+        self.before = place, ratio
+        return np.maximum(step, lowest), self.gain if near and not annealing else math.inf
+
+
+def _bounded(information: Array, score: Array, least: Array) -> Array:
+    """The step of a quadratic (l,), as shares of variances: none falls by more than `least`."""
+    share, free = np.zeros(len(score)), np.ones(len(score), dtype=bool)
+    for _ in score:
+        block = information[np.ix_(free, free)]
+        rest = score[free] - information[np.ix_(free, ~free)] @ share[~free]
+        share[free] = np.linalg.solve(block + 1e-9 * np.diag(np.diag(block)), rest)
+        excess = np.where(free, np.maximum(share - 2.0, least - share), 0.0)
+        furthest = int(np.argmax(excess))
+        if excess[furthest] <= 0.0:
+            break
+        share[furthest] = min(max(share[furthest], least[furthest]), 2.0)
+        free[furthest] = False
+    return share
 
 
 def noisier(leg: Leg, level: float) -> Leg:
     """The leg with at least this process noise."""
     return leg.at({"acceleration": max(level, leg.model.disturbance.acceleration)})
-
-
-def joined(names: Sequence[str], count: int) -> tuple[tuple[str, ...], list[list[int]]]:
-    """The names of parameters of several logs, and the places of each log's among them."""
-    every, places = list(names), []
-    for number in range(1, count + 1):
-        suffix = f"@{number}" if number > 1 else ""
-        local = [f"{n}{suffix}" if n in ELEMENTS and n not in SHARED else n for n in names]
-        every += [name for name in local if name not in every]
-        places.append([every.index(name) for name in local])
-    return tuple(every), places
-
-
-def summed(passes: Sequence[Pass], places: Sequence[list[int]]) -> tuple[Array, Array]:
-    """The score (p,) and information (p, p) of parameters of all logs."""
-    size, p = 1 + max((max(place, default=-1) for place in places), default=-1), len(places[0])
-    score, information = np.zeros(size), np.zeros((size, size))
-    for each, place in zip(passes, places, strict=True):
-        score[place] += each.score[:p]
-        information[np.ix_(place, place)] += each.information[:p, :p]
-    return score, information
 
 
 def inverted(information: Array) -> tuple[Array, IntArray]:

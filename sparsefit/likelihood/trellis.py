@@ -1,7 +1,7 @@
 """A log with a model and a track through its nodes, and one pass over it.
 
-A pass filters forward and smooths backward, in blocks: only the filter at the start of each is
-stored, and what the way back needs of a block is filtered once more when it gets there.
+A pass filters forward and smooths backward, in blocks: the filter at the start of each is stored,
+and what the way back reads of a block but the last is filtered once more when it gets there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.likelihood.model import Model, StateSpace
-from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed, State
+from sparsefit.likelihood.nodes import FlightLog, Nodes
+from sparsefit.likelihood.reference import width
 
 passes: Any
 try:
@@ -25,6 +26,26 @@ except ImportError:  # no compiler where the package was installed
     passes = importlib.import_module("sparsefit.likelihood.reference")
 
 BLOCK = 8192  # nodes whose passes are stored at once
+PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A backward pass.
+
+    Args:
+        track: the states (m, n) given all readings.
+        adjoint: r at each node and after it (m + 1, 2 n).
+        scores: of the readings (m, 12): u, the residual u/sqrt(D) that each leaves when it is left
+            out over its deviation, the standardised innovation e/sqrt(S).
+        squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
+            their difference is the derivative of the log-likelihood by its logarithm.
+    """
+
+    track: Array
+    adjoint: Array
+    scores: Array
+    squares: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,33 +70,20 @@ class Leg:
 
     @classmethod
     def of(
-        cls,
-        log: FlightLog,
-        model: Model,
-        phase: float,
-        stride: int = 1,
-        path: tuple[Array, Array] | None = None,
+        cls, log: FlightLog, model: Model, stride: int = 1, path: tuple[Array, Array] | None = None
     ) -> Leg:
-        """Place the nodes of a log, and a track on them.
+        """Place the nodes of a log, further apart where rows are left out, and a track on them.
 
-        Args:
-            log: the readings.
-            model: of the log.
-            phase: the largest step of the motion [rad], twice that where rows are left out.
-            stride: of the rows.
-            path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
+        path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
         """
-        longest = longest_step(log, model, phase) * (1.0 + (stride > 1))
+        longest = longest_step(log, model) * (1.0 + (stride > 1))
         nodes = Nodes.of(log, model.pattern.origin, longest, model.values["latency"], stride)
         near = nodes.track() if path is None else _between(*path, nodes.time)
-        track = np.zeros((len(near), 4 + len(StateSpace.of(model).walkers)))
-        width = min(track.shape[1], near.shape[1])
-        track[:, :width] = near[:, :width]
-        return cls(log, model, nodes, track, None, stride)
+        return cls(log, model, nodes, _widened(near, model), None, stride)
 
-    def again(self, phase: float, stride: int) -> Leg:
+    def again(self, stride: int) -> Leg:
         """The leg on the nodes of another stride, or of a latency that has moved."""
-        leg = Leg.of(self.log, self.model, phase, stride, (self.nodes.time, self.track))
+        leg = Leg.of(self.log, self.model, stride, (self.nodes.time, self.track))
         if not np.array_equal(leg.nodes.rows, self.nodes.rows):
             return leg
         nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
@@ -88,10 +96,7 @@ class Leg:
 
     def with_model(self, model: Model) -> Leg:
         """The leg under another model of the same flow, what is new of its state about 0."""
-        width = 4 + len(StateSpace.of(model).walkers)
-        track = np.zeros((len(self.track), width))
-        track[:, : self.track.shape[1]] = self.track[:, :width]
-        return replace(self, model=model, track=track, last=None)
+        return replace(self, model=model, track=_widened(self.track, model), last=None)
 
     def louder(self, height: float, name: str = "acceleration") -> Leg:
         """The leg with a level times exp(height)."""
@@ -102,22 +107,25 @@ class Leg:
 
         names: the parameters (p,) by which the score and the information are wanted.
         """
-        space = StateSpace.of(self.model, names)
-        (m, n), p, last = self.track.shape, len(names), self.last
-        state = State.of(n, p if last is None else p + len(space.kicks))
-        state.covariance[:] = np.diag(space.spread.sum(axis=0))
-        state.covariance[range(4), range(4)] += self.log.spread
-        state.delta[4:] = -self.track[0, 4:]  # walkers start about 0
+        space, (m, n), last = StateSpace.of(self.model, names), self.track.shape, self.last
+        own = n + 1 + len(names)  # columns of P, delta and V
+        rows = np.zeros((n, own + (len(space.kicks) if last else 0)))
+        rows[:, :n] = np.diag(space.spread.sum(axis=0))
+        rows[range(4), range(4)] += self.log.spread
+        rows[4:, n] = -self.track[0, 4:]  # walkers start about 0
         if last is not None:
-            state.sensitivity[:, p:] = (space.spread * last.adjoint[0, :n]).T
-        value, starts = 0.0, []
-        stored = np.empty((m, _width(n, p))) if keep and m <= BLOCK else None
+            rows[:, own:] = (space.spread * last.adjoint[0, :n]).T
+        sums, total, starts, stored = np.zeros((len(rows.T) - n,) * 2), 0.0, [], None
         for first in range(0, m, BLOCK):
-            carried = state.delta, state.sensitivity[:, :p], state.covariance
-            starts.append(tuple(part.copy() for part in carried))
+            starts.append(rows[:, :own].copy())
             end = min(first + BLOCK, m)
-            value += passes.forward(space, self.nodes, self.track, first, end, last, state, stored)
-        return Pass(self, space, value, state.score, state.information, tuple(starts), stored)
+            if keep and end == m:
+                stored = np.empty((end - first, width(n, len(names))))
+            total += passes.forward(
+                space, self.nodes, self.track, first, end, last, rows, sums, stored
+            )
+        value = -0.5 * (float(sums[0, 0]) + total)
+        return Pass(self, space, value, -sums[1:, 0], sums[1:, 1:], starts, stored)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +138,8 @@ class Pass:
         value: the log-likelihood at dtheta = 0.
         score: b (p + l,) by the parameters, and by the levels where a last pass gave them.
         information: J (p + l, p + l).
-        starts: delta, V and P at the first node of each block.
-        stored: what the backward pass reads of the only block, where there is one only.
+        starts: P, delta and V (n, n + 1 + p) at the first node of each block.
+        stored: what the backward pass reads of the last block.
     """
 
     leg: Leg
@@ -139,42 +147,43 @@ class Pass:
     value: float
     score: Array
     information: Array
-    starts: tuple[tuple[Array, ...], ...]
+    starts: list[Array]
     stored: Array | None
 
     def backward(self, change: Array) -> Smoothed:
         """Smooth, with the parameters changed by `change` (p,)."""
-        space, nodes, track, (m, n) = (
-            self.space,
-            self.leg.nodes,
-            self.leg.track,
-            self.leg.track.shape,
-        )
-        p, levels = len(change), len(space.kicks)
+        space, nodes, track, stored = self.space, self.leg.nodes, self.leg.track, self.stored
+        (m, n), p, levels = track.shape, len(change), len(space.kicks)
         carried, sums = np.zeros((1 + n, n)), np.zeros((n + 4, 2))
-        result = Smoothed(
-            track.copy(), np.zeros((m + 1, 2 * n)), np.empty((m, 12)), np.zeros((levels, 2))
-        )
+        adjoint, scores = np.zeros((m + 1, 2 * n)), np.empty((m, 12))
+        result = Smoothed(track.copy(), adjoint, scores, np.zeros((levels, 2)))
         for block in range(len(self.starts) - 1, -1, -1):
-            first, stored = block * BLOCK, self.stored
+            first = block * BLOCK
             end = min(first + BLOCK, m)
             if stored is None:  # the block once more, without the levels' columns
-                stored = np.empty((end - first, _width(n, p)))
-                delta, sensitivity, covariance = (part.copy() for part in self.starts[block])
-                state = State(delta, sensitivity, covariance, np.zeros(p), np.zeros((p, p)))
-                passes.forward(space, nodes, track, first, end, None, state, stored)
-            passes.backward(space, nodes, first, end, change, stored, carried, result, sums)
+                rows, rest = self.starts[block].copy(), np.zeros((1 + p, 1 + p))
+                stored = np.empty((end - first, width(n, p)))
+                passes.forward(space, nodes, track, first, end, None, rows, rest, stored)
+            step = np.append(1.0, change)
+            passes.backward(space, nodes, first, end, step, stored, carried, result, sums)
+            stored = None
         initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
         squares = space.kicks @ sums[:n] + space.spread @ initial + (space.noise > 0.0) @ sums[n:]
         result.squares[:] = 0.5 * squares
         return result
 
 
-def longest_step(log: FlightLog, model: Model, phase: float) -> float:
-    """The step [s] in which the flow's waves turn by a phase [rad] at the speed of a log."""
+def longest_step(log: FlightLog, model: Model) -> float:
+    """The step [s] in which the flow's waves turn by `PHASE` at the speed of a log."""
     size, tau = float(np.hypot(*model.pattern.waves[:, :2].T).max()), model.values["response_time"]
     slaved = log.interval > tau  # what the vehicle does within its response time is not seen
-    return min(phase / (size * log.speed), (1.5 if slaved else 0.5) * tau)
+    return min(PHASE / (size * log.speed), (1.5 if slaved else 0.5) * tau)
+
+
+def _widened(track: Array, model: Model) -> Array:
+    """A track (m, n) with the states of a model, new ones 0."""
+    states = 4 + len(StateSpace.of(model).walkers)
+    return np.pad(track[:, :states], ((0, 0), (0, max(states - track.shape[1], 0))))
 
 
 def _between(old: Array, track: Array, new: Array) -> Array:
@@ -190,8 +199,3 @@ def _between(old: Array, track: Array, new: Array) -> Array:
     between: Array = start + u * (end - start) + u * (1.0 - u) * ((1.0 - u) * leaving + u * coming)
     between[:, :2] += (new - inside)[:, None] * between[:, 2:4]
     return between
-
-
-def _width(n: int, p: int) -> int:
-    """The numbers that a node stores for the backward pass."""
-    return n * (1 + p + n) + 4 * (2 * n + p + 2) + 4 * n
