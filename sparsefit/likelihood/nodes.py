@@ -1,4 +1,4 @@
-"""The readings of a log, and the nodes at which they stand.
+"""The readings of a log, the nodes at which they stand, and their states given all of them.
 
 A node has up to four readings (position x, y, velocity x, y); a reading that is missing has the
 weight 0. Positions that are older than the velocities of their rows stand at nodes of their own.
@@ -171,6 +171,25 @@ class Nodes:
             else:
                 track[:, channel] = np.gradient(track[:, channel - 2], self.time)
         return track
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """A backward pass.
+
+    Args:
+        track: the states (m, n) given all readings.
+        adjoint: r at each node and after it (m + 1, 2 n).
+        scores: of the readings (m, 12): u, the residual u/sqrt(D) that each leaves when it is left
+            out over its deviation, the standardised innovation e/sqrt(S).
+        squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
+            their difference is the derivative of the log-likelihood by its logarithm.
+    """
+
+    track: Array
+    adjoint: Array
+    scores: Array
+    squares: Array
 
 
 def noise_of(values: Array) -> float:

@@ -33,8 +33,7 @@ from sparsefit.arrays import Array
 
 if TYPE_CHECKING:
     from sparsefit.likelihood.model import StateSpace
-    from sparsefit.likelihood.nodes import Nodes
-    from sparsefit.likelihood.trellis import Smoothed
+    from sparsefit.likelihood.nodes import Nodes, Smoothed
 
 OWN = 22  # elements before those of the waves, in the order of `model.ELEMENTS`
 SMALL = 1e-30  # the complex step

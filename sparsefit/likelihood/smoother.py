@@ -20,8 +20,8 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.likelihood.model import ELEMENTS, StateSpace
-from sparsefit.likelihood.nodes import Nodes
-from sparsefit.likelihood.trellis import Leg, Pass, Smoothed
+from sparsefit.likelihood.nodes import Nodes, Smoothed
+from sparsefit.likelihood.trellis import Leg, Pass
 
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise

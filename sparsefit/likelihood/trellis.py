@@ -16,7 +16,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.likelihood.model import Model, StateSpace
-from sparsefit.likelihood.nodes import FlightLog, Nodes
+from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed
 from sparsefit.likelihood.reference import width
 
 passes: Any
@@ -27,25 +27,6 @@ except ImportError:  # no compiler where the package was installed
 
 BLOCK = 8192  # nodes whose passes are stored at once
 PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion
-
-
-@dataclass(frozen=True, eq=False)
-class Smoothed:
-    """A backward pass.
-
-    Args:
-        track: the states (m, n) given all readings.
-        adjoint: r at each node and after it (m + 1, 2 n).
-        scores: of the readings (m, 12): u, the residual u/sqrt(D) that each leaves when it is left
-            out over its deviation, the standardised innovation e/sqrt(S).
-        squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
-            their difference is the derivative of the log-likelihood by its logarithm.
-    """
-
-    track: Array
-    adjoint: Array
-    scores: Array
-    squares: Array
 
 
 @dataclass(frozen=True, eq=False)

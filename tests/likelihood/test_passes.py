@@ -8,9 +8,9 @@ import pytest
 
 from sparsefit.likelihood import reference, trellis
 from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process, StateSpace
-from sparsefit.likelihood.nodes import Nodes
+from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
-from sparsefit.likelihood.trellis import Leg, Smoothed
+from sparsefit.likelihood.trellis import Leg
 
 WAVES = np.array([[1.1, 0.4], [-0.3, 0.9]])
 HEIGHTS = [2.0, 1.0], [0.5, -1.5]
