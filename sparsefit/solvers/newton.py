@@ -227,8 +227,9 @@ def on_a_face(
 
     cross B (j, q), for a target of |Y|^2/m = 1; the gap is infinite where no face was solved.
     """
-    mu, step, waited, best, least = alpha * penalty.ridge, 1.0, 0, values, np.inf
-    correlation, count = cross - normal.times(values), 0
+    mu, step, waited, count = alpha * penalty.ridge, 1.0, 0, 0
+    correlation = cross - normal.times(values)
+    best, least = values, relative_gap(values, correlation, cross, penalty, alpha)
     while type(penalty) in LINEAR and least > goal and waited <= HALTED and count < FACES:
         pull = values + step * (correlation - mu * values)
         point = penalty.prox(pull, step * alpha)
