@@ -18,14 +18,24 @@ import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.group_penalties import GroupNorms
+from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
-from sparsefit.solvers.newton import Normal, on_a_face, relative_gap, settled
+from sparsefit.solvers.newton import (
+    Normal,
+    on_a_face,
+    relative_gap,
+    settled,
+    towards_clusters_optimum,
+)
 
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 DESCENDED = 1e-9  # that of descent, which converges linearly
 EXTRAPOLATED = 5  # sweeps that descent extrapolates from
 MANY = 300  # rows, from which on descent is faster where more columns are in use
 MOST = 300  # sweeps at one penalty, before the variances take over
+CLUSTERED, SWEEPS = 500, 30  # rounds for clusters at one penalty, and the most sweeps of one
+ALIKE = 20  # rounds, after which the optimum of each face is taken, as columns are too much alike
+POWERS = 20  # of G, for the length of a gradient's step
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,11 +275,55 @@ class _Descent:
                 values, residual = point, rest
 
 
+def cluster_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
+    """SLOPE of one target: proximal gradients split clusters of equal |v|, and sweeps move them.
+
+    Where a round of sweeps leaves the clusters as they were, their optimum is taken at once.
+    Source: Larsson, Klopfenstein, Massias and Wallin, "Coordinate descent for SLOPE" (2023).
+    """
+    assert isinstance(on.penalty, SortedNorm)
+    assert on.normal.gram is not None
+    level, penalty = on.units.level, on.penalty
+    gram, cross = np.ascontiguousarray(on.normal.gram), on.cross / level
+    values, step = attempts[max(attempts)] / level, 1.0 / _largest_eigenvalue(gram)
+    solved, gaps = np.zeros((len(alphas), *cross.shape)), np.zeros(len(alphas))
+    steps = np.zeros(len(alphas), np.intp)
+    for i, alpha in enumerate((alphas / level).tolist()):
+        price = alpha * np.concatenate([[0.0], np.cumsum(penalty.weights)])
+        for steps[i] in range(CLUSTERED):
+            pull = cross - on.normal.times(values)
+            gaps[i] = relative_gap(values, pull, cross, penalty, alpha)
+            if gaps[i] <= on.stop:
+                break
+            values = penalty.prox(values + step * pull, step * alpha)
+            pull = cross - on.normal.times(values)
+            sweep = compiled("sweeps").descend_clusters
+            going = sweep(gram, price, pull[:, 0], values[:, 0], SWEEPS) or steps[i] >= ALIKE
+            while going:
+                values, met = towards_clusters_optimum(on.normal, cross, penalty, alpha, values)
+                going = met and steps[i] >= ALIKE
+        if gaps[i] > on.stop:
+            problem = on.normal, cross, penalty, alpha
+            values, gaps[i], taken = settled(*problem, values, on.stop)
+            steps[i] += taken
+        solved[i] = values * level
+    return Stretch(solved, gaps <= on.stop, steps)
+
+
+def _largest_eigenvalue(gram: Array) -> float:
+    """A little more than it, by the power method."""
+    x = np.ones(len(gram))
+    for _ in range(POWERS):
+        x = gram @ (x / np.linalg.norm(x))
+    return 1.05 * float(np.linalg.norm(x))
+
+
 KERNELS: dict[str, Kernel] = {
     "homotopy": homotopy,
     "newton": newton,
     "variational": variational,
     "block descent": block_descent,
+    "cluster descent": cluster_descent,
 }
 
 
@@ -279,7 +333,8 @@ def kernel_for(penalty: Penalty, targets: int) -> str:
         return "homotopy"
     if not penalty.ridge and isinstance(penalty, GroupNorms) and compiled("variances"):
         return "variational"
-    return "newton"
+    slope = type(penalty) is SortedNorm and not penalty.ridge
+    return "cluster descent" if slope and targets == 1 and compiled("sweeps") else "newton"
 
 
 def path_on_gram(

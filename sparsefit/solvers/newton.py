@@ -227,10 +227,12 @@ def on_a_face(
 
     cross B (j, q), for a target of |Y|^2/m = 1; the gap is infinite where no face was solved.
     """
+    if type(penalty) not in LINEAR:
+        return values, np.inf, 0
     mu, step, waited, count = alpha * penalty.ridge, 1.0, 0, 0
     correlation = cross - normal.times(values)
     best, least = values, relative_gap(values, correlation, cross, penalty, alpha)
-    while type(penalty) in LINEAR and least > goal and waited <= HALTED and count < FACES:
+    while least > goal and waited <= HALTED and count < FACES:
         pull = values + step * (correlation - mu * values)
         point = penalty.prox(pull, step * alpha)
         after = _optimum_of_face(normal, cross, penalty, (pull, point), step, (alpha, mu))
@@ -279,3 +281,29 @@ def _optimum_of_face(
     out = fixed.ravel()
     out[on] += z if factor is None else factor @ z
     return out.reshape(point.shape)
+
+
+def towards_clusters_optimum(
+    normal: Normal, cross: Array, penalty: SortedNorm, alpha: float, values: Array
+) -> tuple[Array, bool]:
+    """From V (j, 1) towards the optimum for its signs and clusters, until two meet; whether so."""
+    on, factor = penalty.slope(values, values, alpha)
+    order = np.argsort(-np.abs(values[on, 0]), kind="stable")
+    sign, price = np.sign(values[on, 0]), np.empty(len(on))
+    price[order] = alpha * penalty.weights[: len(on)]
+    square = normal.within(on, factor, 1)
+    square.flat[:: len(square) + 1] += SHIFT
+    z = definite(square, factor.T @ (cross[on, 0] - price * sign))
+    if z is None:
+        return values, False
+    order = order[::-1]  # from the smallest
+    here, there = (sign * part for part in (values[on, 0], factor @ z))
+    rise, after = (np.diff(part[order], prepend=0.0) for part in (here, there))
+    meeting = after < np.minimum(rise, 0.0)
+    until = np.full(len(rise), np.inf)
+    until[meeting] = rise[meeting] / (rise[meeting] - after[meeting])
+    share = min(float(until.min(initial=np.inf)), 1.0)
+    rise = np.where(until <= share, 0.0, np.maximum(rise + share * (after - rise), 0.0))
+    out = np.zeros_like(values)
+    out[on[order], 0] = sign[order] * np.cumsum(rise)
+    return out, share < 1.0

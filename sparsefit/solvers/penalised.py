@@ -222,7 +222,7 @@ class Slope(PenalisedPath):
     """
 
     name: ClassVar[str] = "slope"
-    solver: str = "newton"
+    solver: str = "cluster-descent"
     rate: float = setting(0.1, low=1e-6, high=1.0 - 1e-6)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
