@@ -23,6 +23,7 @@ RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
 INTEGRATION = 1e-13  # relative and absolute tolerance; leaves a defect below 1e-12 m/s per sample
 EVEN = 1e-6  # of a sample interval: steps that differ by less do so by rounding
+STRIDE = 0.25  # a first step, in 1/(1/tau + U0 pi/L): that long DOP853 keeps to the tolerance
 EXPLICIT = 200  # steps of DOP853 in an interval: an equation that needs more is stiff
 IMPLICIT = 100_000  # steps of LSODA, which then takes over
 EVALUATIONS = (10_000_000, 2_000)  # of the right-hand side: in all, and more for each sample
@@ -109,7 +110,10 @@ def simulate_flight(
     logged = None if thrust is None else thrust.at(time)
     most = EVALUATIONS[0] + EVALUATIONS[1] * len(time)
     flow_at = true_flow.formula(math) if true_flow else lambda _x, _y, _t: (0.0, 0.0)
-    states = _integrate(_right_hand_side(flow_at, vehicle, thrust, most), state, time, kicks)
+    speed = getattr(true_flow, "mean_velocity", 0.0)
+    pace = vehicle.rate + (2.0 * math.pi * speed / period if period else math.nan)
+    right_hand_side = _right_hand_side(flow_at, vehicle, thrust, most)
+    states = _integrate(right_hand_side, state, time, kicks, STRIDE / pace)
     if logged is not None:
         logged = logged + level * pushes.standard_normal(logged.shape)
     return Flight(
@@ -188,13 +192,19 @@ def _right_hand_side(
 
 
 def _integrate(
-    right_hand_side: RightHandSide, start: tuple[float, ...], time: Array, kicks: Array
+    right_hand_side: RightHandSide,
+    start: tuple[float, ...],
+    time: Array,
+    kicks: Array,
+    stride: float,
 ) -> Array:
     """Return the states (m, 4) at ``time``; every sample is the end of a step.
 
     Strang splitting: half a kick, the exact motion over one substep, the other half. The motion
-    stays exact however small the noise; the error of Euler-Maruyama would drown it. A stiff
-    equation, of a vehicle that follows the flow at once, is passed on to an implicit method.
+    stays exact however small the noise; the error of Euler-Maruyama would drown it. A first step
+    of stride [s], or to the end of a substep, spares the integrator's own small guess; NaN leaves it
+    that. A stiff equation, of a vehicle that follows the flow at once, is passed on to an implicit
+    method.
 
     Raises:
         InputError: where neither method gets to the end of an interval.
@@ -207,6 +217,7 @@ def _integrate(
     states[0] = start
     halves, kicked = kicks / 2.0, bool(kicks.any())
     stops = np.linspace(time[:-1], time[1:], halves.shape[1] + 1, axis=1)[:, 1:]
+    first = min(stride, float(stops[0, 0] - time[0])) if math.isfinite(stride) else 0.0
     with warnings.catch_warnings(), _interrupts_kept() as interrupt:
         warnings.simplefilter("ignore", UserWarning)  # the refusal below says it
         for stiff in (False, True):
@@ -218,6 +229,7 @@ def _integrate(
                 rtol=tolerance,
                 atol=tolerance,
                 nsteps=IMPLICIT if stiff else EXPLICIT,
+                first_step=0.0 if stiff else first,
             )
             solver.set_initial_value(states[row], time[row])
 
