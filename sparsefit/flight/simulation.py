@@ -202,9 +202,9 @@ def _integrate(
 
     Strang splitting: half a kick, the exact motion over one substep, the other half. The motion
     stays exact however small the noise; the error of Euler-Maruyama would drown it. A first step
-    of stride [s], or to the end of a substep, spares the integrator's own small guess; NaN leaves it
-    that. A stiff equation, of a vehicle that follows the flow at once, is passed on to an implicit
-    method.
+    of stride [s], or to the end of a substep, spares the integrator's own small guess, to which NaN
+    leaves it. A stiff equation, of a vehicle that follows the flow at once, is passed on to an
+    implicit method.
 
     Raises:
         InputError: where neither method gets to the end of an interval.

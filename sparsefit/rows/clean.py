@@ -18,24 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.flight import Flight
-from sparsefit.logs.checks import GAP, ONE_STEP, clock_rounding
-
-
-@dataclass(frozen=True)
-class CleaningRules:
-    """The thresholds by which a sample of a log is replaced."""
-
-    sure: float = 6.5  # robust standard deviations: white noise goes beyond it once in 1e6 flights
-    alone: float = 3.0  # times the median of the samples around
-    around: int = 4  # samples on either side
-    felt: float = 0.01  # of the channel's own rms deviation: less moves no parameter
-    rounds: int = 6  # an outlier spoils the prediction of its neighbours too
-    window: int = 11  # samples of the polynomial that predicts one
-    degree: int = 5  # of that polynomial
-    most: float = 0.2  # of the samples: more, and the others are no measure of them
-
-
-RULES = CleaningRules()
+from sparsefit.logs.checks import GAP, ONE_STEP, clock_rounding, gaps_of
 
 
 @dataclass(frozen=True)
@@ -80,12 +63,6 @@ class LogPieces:
     state: Array
     starts: IntArray
     velocity_measured: bool = True
-
-    @classmethod
-    def of(cls, flight: Flight) -> LogPieces:
-        """The samples of a flight as they are, in one piece."""
-        state = np.hstack([flight.position, flight.velocity])
-        return cls(flight.time, state, np.empty(0, dtype=np.intp), flight.velocity_measured)
 
     @cached_property
     def slices(self) -> list[slice]:
@@ -137,14 +114,20 @@ class LogPieces:
         return replace(self, time=time, state=spline(time), starts=starts)
 
 
+def pieces_of(flight: Flight) -> LogPieces:
+    """The samples of a flight as they are, in one piece."""
+    state = np.hstack([flight.position, flight.velocity])
+    return LogPieces(flight.time, state, np.empty(0, dtype=np.intp), flight.velocity_measured)
+
+
 def repaired(flight: Flight, *, even: bool) -> tuple[LogPieces, Repairs]:
     """The samples of a flight made fit for a filter, and the repairs.
 
     even: whether uneven time steps are made even.
     """
-    log, steps = LogPieces.of(flight), np.diff(flight.time)
+    log, steps = pieces_of(flight), np.diff(flight.time)
     if steps.max() > GAP * steps.min():
-        log = replace(log, starts=np.flatnonzero(steps > GAP * np.median(steps)) + 1)
+        log = replace(log, starts=np.flatnonzero(gaps_of(flight.time)) + 1)
     longest = float(steps[log.starts - 1].max(initial=0.0))
     repairs = Repairs(gaps=len(log.starts), longest_gap=longest)
     if not log.even:
@@ -162,34 +145,34 @@ def repaired(flight: Flight, *, even: bool) -> tuple[LogPieces, Repairs]:
     return replace(log, state=state), replace(repairs, outliers=outliers)
 
 
-def without_outliers(values: Array) -> Array:
+def without_outliers(values: Array, window: int = 11, degree: int = 5) -> Array:
     """Positions or velocities (m, 2) on even steps, outliers replaced; the array itself if none.
 
-    The residual of a sample is that of a polynomial through the others: its own weight h in the
-    fit taken out, the residual over 1 - h.
+    The residual of a sample is that of a polynomial through the others in a window: its own weight
+    h in the fit taken out, the residual over 1 - h. Less than a hundredth of the channel's rms
+    deviation is no outlier; where they are a fifth of all, the others are no measure of them.
     """
-    window = RULES.window
     if len(values) < 3 * window:
         return values
-    powers = np.vander(np.linspace(-1.0, 1.0, window), RULES.degree + 1, increasing=True)
+    powers = np.vander(np.linspace(-1.0, 1.0, window), degree + 1, increasing=True)
     hat, half = powers @ np.linalg.pinv(powers), window // 2
     weight = np.full((len(values), 1), hat[half, half])
     weight[:half, 0], weight[-half:, 0] = np.diag(hat)[:half], np.diag(hat)[half + 1 :]
     scale = np.sqrt((1.0 - weight[:, 0]) / (1.0 - hat[half, half]))
-    least = RULES.felt * math.sqrt(float(np.var(values, axis=0).sum()))
+    least = 0.01 * math.sqrt(float(np.var(values, axis=0).sum()))
     # The first look is by medians, which neighbours that are off too do not move.
     padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
     predicted = np.median(sliding_window_view(padded, 5, axis=0), axis=-1)
     outliers = _isolated(np.hypot(*(values - predicted).T), np.ones(len(values)), least)
     cleaned = np.where(outliers[:, None], predicted, values)
-    for _ in range(RULES.rounds):
+    for _ in range(6):  # an outlier spoils the prediction of its neighbours too
         inner = [np.correlate(column, hat[half], "valid") for column in cleaned.T]
         ends = hat[:half] @ cleaned[:window], hat[half + 1 :] @ cleaned[-window:]
         fitted = np.vstack([ends[0], np.column_stack(inner), ends[1]])
         predicted = (fitted - weight * cleaned) / (1.0 - weight)
         before = outliers
         outliers = _isolated(np.hypot(*(values - predicted).T), scale, least)
-        if not outliers.any() or outliers.mean() > RULES.most:
+        if not outliers.any() or outliers.mean() > 0.2:
             return values
         cleaned = np.where(outliers[:, None], predicted, values)
         if np.array_equal(outliers, before):
@@ -198,12 +181,15 @@ def without_outliers(values: Array) -> Array:
 
 
 def _isolated(size: Array, scale: Array, least: float) -> BoolArray:
-    """Which errors (m,) stand out from all others, and from those around them, beyond ``least``."""
+    """Which errors (m,) stand out from all others, and from the 4 on either side.
+
+    By 6.5 robust standard deviations, which white noise goes beyond once in 1e6 flights, and by 3
+    times the median of those around.
+    """
     scaled, rayleigh = scale * size, math.sqrt(2.0 * math.log(2.0))  # median of a pair's length
     spread = max(float(np.median(scaled)) / rayleigh, 1e-300)
-    outstanding: BoolArray = (scaled > RULES.sure * spread) & (size > least)
+    outstanding: BoolArray = (scaled > 6.5 * spread) & (size > least)
     rows = np.flatnonzero(outstanding)
-    first = np.clip(rows - RULES.around, 0, len(size) - 2 * RULES.around - 1)
-    around = scaled[first[:, None] + np.arange(2 * RULES.around + 1)]
-    outstanding[rows] = scaled[rows] > RULES.alone * np.median(around, axis=1)
+    around = scaled[np.clip(rows - 4, 0, len(size) - 9)[:, None] + np.arange(9)]
+    outstanding[rows] = scaled[rows] > 3.0 * np.median(around, axis=1)
     return outstanding

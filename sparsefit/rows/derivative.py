@@ -9,9 +9,16 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_integer, one_of
 from sparsefit.flight import Flight
-from sparsefit.rows.clean import LogPieces, Repairs, repaired
-from sparsefit.rows.samples import ORDER, Samples, weak_form
-from sparsefit.rows.smoothing import FEWEST, Rates, Smoothing, polynomial_kernels, smooth
+from sparsefit.rows.clean import LogPieces, Repairs, pieces_of, repaired
+from sparsefit.rows.samples import ORDER, SHORTEST, Samples, weak_form
+from sparsefit.rows.smoothing import (
+    FEWEST,
+    Rates,
+    Smoothing,
+    filtered,
+    polynomial_kernels,
+    smooth,
+)
 
 METHODS = ("forward", "central", "midpoint", "savgol", "auto", "weak")
 SMOOTHED = ("auto", "weak")
@@ -59,14 +66,13 @@ class Derivative:
         one_of("derivative", self.method, METHODS)
         if not isinstance(self.repair, bool):
             raise InputError(f"derivative repair must be true or false; got {self.repair!r}")
-        if self.method not in DEFAULTS:
-            if self.window is not None or self.order is not None:
-                raise InputError(
-                    f"derivative {self.method!r} has no window and no order; leave them out, or "
-                    "use method 'savgol' or 'weak'"
-                )
-            return
-        for name, default in zip(("window", "order"), DEFAULTS[self.method], strict=True):
+        settings = DEFAULTS.get(self.method, (None, None))
+        if settings == (None, None) and (self.window, self.order) != settings:
+            raise InputError(
+                f"derivative {self.method!r} has no window and no order; leave them out, or "
+                "use method 'savgol' or 'weak'"
+            )
+        for name, default in zip(("window", "order"), settings, strict=True):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, default)
         if self.method == "savgol":
@@ -75,11 +81,11 @@ class Derivative:
                 raise InputError(
                     f"order must be an integer from 1 to window - 1 = {largest}; got {self.order!r}"
                 )
-            return
-        if self.window is not None:
-            integer("weak window", self.window, 5, odd=True)
-        if not is_integer(self.order, 2, 32):  # smoother than a corner, wider than a spike
-            raise InputError(f"weak order must be an integer from 2 to 32; got {self.order!r}")
+        if self.method == "weak":
+            if self.window is not None:
+                integer("weak window", self.window, 5, odd=True)
+            if not is_integer(self.order, 2, 32):  # smoother than a corner, wider than a spike
+                raise InputError(f"weak order must be an integer from 2 to 32; got {self.order!r}")
 
     def __call__(self, flight: Flight) -> Samples:
         """Return states and derivatives of ``flight``.
@@ -88,7 +94,7 @@ class Derivative:
             InputError: with ``savgol`` and ``weak``, if the flight is shorter than the window;
                 with ``savgol``, if its time steps are not uniform.
         """
-        log, repairs = LogPieces.of(flight), Repairs()
+        log, repairs = pieces_of(flight), Repairs()
         if self.repair:
             log, repairs = repaired(flight, even=self.method in SMOOTHED)
         time, state, rate, smoothing = self._rates(log)
@@ -100,11 +106,12 @@ class Derivative:
 
         averages = None
         if self.method == "weak":
-            smooth_ = smoothing.method == "auto"
-            times, states = (time, state) if smooth_ else (log.time, log.state)
-            width = smoothing.window if smooth_ else 1
-            settings = self.window, self.order or ORDER
-            averages = weak_form(times, states, *settings, push_at(times), smoothed=width)
+            states = (time, state) if smoothing.method == "auto" else (log.time, log.state)
+            window = self.window
+            if window is None:
+                window = max(smoothing.window if smoothing.method == "auto" else 1, SHORTEST)
+                window = max(5, min(window, 2 * (len(states[0]) // 6) + 1))
+            averages = weak_form(*states, window, self.order or ORDER, push_at(states[0]))
         halves = state[:, :2], state[:, 2:], rate[:, :2], rate[:, 2:]
         return Samples(time, *halves, smoothing, averages, repairs, push_at(time))
 
@@ -122,12 +129,21 @@ class Derivative:
                 return smooth(log)
         time, state = log.time, log.state
         if self.method == "savgol":  # in full windows only: at an edge a polynomial extrapolates
-            window, order = self._savgol(log)
-            kernels = polynomial_kernels(window, order, 1.0)[:2]
-            value, slope = (
-                np.stack([np.correlate(column, kernel, "valid") for column in state.T], axis=1)
-                for kernel in kernels
-            )
+            window, order = self.window or 0, self.order or 0
+            if not log.whole(window).any():
+                raise InputError(
+                    f"savgol window {window} is longer than the flight of {len(time)} samples: "
+                    "use a smaller window, or central"
+                )
+            if not log.even:
+                row = int(np.argmax(np.abs(log.away)))
+                raise InputError(
+                    f"savgol needs uniform time steps; the step after row {row} is "
+                    f"{np.diff(time)[row]:.6g} s, the mean {log.step:.6g} s: use central or "
+                    "midpoint"
+                )
+            kernels = polynomial_kernels(window, order, 1.0)
+            value, slope = (filtered(state, kernel) for kernel in kernels[:2])
             own = Smoothing("savgol", window=window, rate_window=window, order=order)
             rows, width = (time[window // 2 :][: len(value)], value, slope / log.step), window
         else:
@@ -148,20 +164,3 @@ class Derivative:
             return *rows, own
         whole = log.whole(width)
         return rows[0][whole], rows[1][whole], rows[2][whole], own
-
-    def _savgol(self, log: LogPieces) -> tuple[int, int]:
-        """Window and order; InputError where the steps of a log do not suit a polynomial."""
-        window = self.window or 0
-        if not log.whole(window).any():
-            raise InputError(
-                f"savgol window {window} is longer than the flight of {len(log.time)} samples: "
-                "use a smaller window, or central"
-            )
-        if not log.even:
-            row = int(np.argmax(np.abs(log.away)))
-            raise InputError(
-                f"savgol needs uniform time steps; the step after row {row} is "
-                f"{np.diff(log.time)[row]:.6g} s, the mean {log.step:.6g} s: use central or "
-                "midpoint"
-            )
-        return window, self.order or 0

@@ -118,25 +118,16 @@ class Samples:
 
 
 def weak_form(
-    time: Array,
-    state: Array,
-    window: int | None,
-    order: int = ORDER,
-    push: Array | None = None,
-    *,
-    smoothed: int = 1,
+    time: Array, state: Array, window: int, order: int = ORDER, push: Array | None = None
 ) -> Samples:
     """The weak form of states x, y, vx, vy (m, 4) [m], [m/s] at times (m,) [s], as q averages.
 
-    window: samples under a test function; None: the smoother's window ``smoothed``, at least
-    `SHORTEST`, that fits the flight. order: the exponent p. Raises InputError where no test
-    function fits into the flight.
+    window: samples under a test function. order: the exponent p. push: measured thrust (m, 2).
+    Raises InputError where no test function fits into the flight.
     """
     from scipy.sparse import csr_array
 
     samples = len(time)
-    if window is None:
-        window = max(5, min(max(smoothed, SHORTEST), 2 * (samples // 6) + 1))
     step = float(time[-1] - time[0]) / (samples - 1)
     reach, slack = window // 2 * step, 1e-9 * step + clock_rounding(time)
     inside = (time - time[0] >= reach - slack) & (time[-1] - time >= reach - slack)

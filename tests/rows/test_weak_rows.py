@@ -68,13 +68,11 @@ def test_no_row_spans_a_gap_in_the_log():
         assert len(inside) >= 20
 
 
-@pytest.mark.parametrize(
-    ("samples", "smoothed", "window"), [(2000, 137, 137), (2000, 11, 21), (60, 1, 21), (30, 1, 11)]
-)
-def test_the_window_is_the_smoothers_if_none_is_given(samples, smoothed, window):
-    time = np.arange(float(samples))
-    rows = weak_form(time, np.zeros((samples, 4)), None, smoothed=smoothed)
-    assert rows.smoothing.window == window
+@pytest.mark.parametrize(("samples", "window"), [(1001, 21), (60, 17), (30, 11)])
+def test_the_window_is_the_smoothers_if_none_is_given(samples, window):
+    flight = simulate_flight(FLOW, VEHICLE, duration=10.0, sample_rate=100.0, seed=7)
+    rows = Derivative("weak")(flight.rows(np.arange(1001) < samples))
+    assert rows.averages.smoothing.window == max(window, rows.smoothing.window)
 
 
 def test_rows_of_the_flow_velocity_are_its_averages():
