@@ -153,7 +153,10 @@ def check(args: argparse.Namespace) -> int:
     record = {"study": study.name, "cases": cases, "hash": study.hash, "missing": study.missing}
     kind = "" if study.kind == "flights" else f" of {study.kind}"
     heading = f"{args.study}: ok, study {study.name}{kind} plans {cases} cases"
-    missing = [f"  missing: {name}: {reason}" for name, reason in study.missing.items()]
+    missing = [  # most reasons begin with the solver's name
+        f"  missing: {reason if reason.startswith(name) else f'{name}: {reason}'}"
+        for name, reason in study.missing.items()
+    ]
     return emit(record, [heading, *missing], as_json=args.json)
 
 

@@ -23,7 +23,9 @@ STEPS = 60  # of Newton's method for a dual norm; about five are taken
 class GroupNorms(Penalty):
     """sum_g omega_g |V_g| over groups of columns, over all targets together (``together``) or each.
 
-    groups (k,) numbers the group of each column, 0..g-1; weights omega (g,) > 0.
+    groups (k,) numbers the group of each column, 0..g-1; weights omega (g,) > 0. With U_g the
+    values before the prox, u = U_g/|U_g| and s = step omega_g/|U_g|, the factor of the prox's
+    derivative is the root of (1 - s) (I - u u') + u u'.
     """
 
     groups: IntArray
@@ -32,12 +34,10 @@ class GroupNorms(Penalty):
 
     @property
     def blocks(self) -> IntArray:
-        """The group (k,) of each column."""
         return self.groups
 
     @property
     def joint(self) -> bool:
-        """Whether a group spans all targets."""
         return self.together
 
     @cached_property
@@ -54,29 +54,24 @@ class GroupNorms(Penalty):
         return norms
 
     def norm(self, values: Array) -> Array:
-        """The norm of values (..., k, n): shape (...)."""
         total: Array = (self.block_norms(values) * self.weights[:, None]).sum(axis=(-2, -1))
         return total
 
     def block_dual_norms(self, values: Array) -> Array:
-        """|C_g| / omega_g."""
         duals: Array = self.block_norms(values) / self.weights[:, None]
         return duals
 
     def restricted(self, index: IntArray) -> Self:
-        """The penalty on whole groups of columns."""
         used, groups = np.unique(self.groups[index], return_inverse=True)
         return replace(self, groups=groups, weights=self.weights[used])
 
     def prox(self, values: Array, step: float) -> Array:
-        """Shrunk towards zero, group by group."""
         norms, limit = self.block_norms(values), step * self.weights[:, None]
         share = np.where(norms > limit, 1.0 - limit / np.where(norms > limit, norms, 1.0), 0.0)
         shrunk: Array = values * share[self.groups]
         return shrunk
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
-        """The root of (1 - s) (I - u u') + u u' by group, u = U_g/|U_g|, s = step omega/|U_g|."""
         live = (self.block_norms(origin) > step * self.weights[:, None])[self.groups]
         on = np.flatnonzero(np.broadcast_to(live, values.shape))
         return on, self.root(on, origin, step)
@@ -98,7 +93,6 @@ class GroupNorms(Penalty):
         return (diags_array(share) + diags_array(1.0 - share) @ unit @ unit.T).tocsc()
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """The sum of weighted norms."""
         terms = []
         for group, weight in enumerate(self.weights):
             block = variable[np.flatnonzero(self.groups == group), :]
@@ -120,7 +114,8 @@ class NestedNorms(Penalty):
     found in x = 1/tau by Newton's method on |(x |C_h| - lambda_h)_+| - omega_g, which is convex and
     increasing: from above it falls to the root, and the chord to where it is -omega_g gives a tau
     that is proven not to be too small. The prox is the inner one, then the outer one (Jenatton,
-    Mairal, Obozinski and Bach, J. Mach. Learn. Res. 12 (2011) 2297-2334).
+    Mairal, Obozinski and Bach, J. Mach. Learn. Res. 12 (2011) 2297-2334); the roots of both
+    derivatives commute, and the factor is their product.
     """
 
     outer: GroupNorms
@@ -128,21 +123,17 @@ class NestedNorms(Penalty):
 
     @property
     def joint(self) -> bool:
-        """Whether a group spans all targets."""
         return self.outer.joint
 
     @property
     def blocks(self) -> IntArray:
-        """The outer group (k,) of each column."""
         return self.outer.groups
 
     def norm(self, values: Array) -> Array:
-        """The norm of values (..., k, n): shape (...)."""
         total: Array = self.outer.norm(values) + self.inner.norm(values)
         return total
 
     def block_dual_norms(self, values: Array) -> Array:
-        """tau of each outer group, from above, as in the head of this class."""
         outer, joint = self.outer, self.outer.joint
         home = np.zeros(len(self.inner.weights), dtype=np.intp)
         home[self.inner.blocks] = outer.groups
@@ -176,15 +167,12 @@ class NestedNorms(Penalty):
         return np.where(live, 1.0 / np.where(live, below, 1.0), 0.0)
 
     def restricted(self, index: IntArray) -> Self:
-        """The penalty on whole outer groups of columns."""
         return replace(self, outer=self.outer.restricted(index), inner=self.inner.restricted(index))
 
     def prox(self, values: Array, step: float) -> Array:
-        """The inner prox, then the outer one."""
         return self.outer.prox(self.inner.prox(values, step), step)
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
-        """The product of both roots, which commute."""
         between = self.inner.prox(origin, step)
         on = np.flatnonzero(values)
         first = None
@@ -196,7 +184,6 @@ class NestedNorms(Penalty):
         return on, (second @ first).tocsc()
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """The sum of both."""
         return self.outer.conic(variable, cvxpy)[0] + self.inner.conic(variable, cvxpy)[0], []
 
 

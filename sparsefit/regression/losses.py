@@ -67,25 +67,21 @@ class RootSquares(Squares):
     coupled: ClassVar[bool] = True
 
     def pull(self, residual: Array, level: Array, samples: int) -> Array:
-        """The u (m, n): R by the ratio of the rms of the targets and its own."""
         size = float(np.linalg.norm(residual)) / np.sqrt(samples) or 1.0
         scaled: Array = residual * (np.sqrt(np.sum(level**2)) / size)
         return scaled
 
     def primal(self, square: Array, overlap: Array, level: Array) -> Array:
-        """P (p,)."""
         value: Array = np.sqrt(np.sum(level**2)) * np.sqrt(square.sum(axis=1))
         return value
 
     def factor(self, square: Array, product: Array, limit: Array, level: Array) -> Array:
-        """The s (p, 1) at both of its limits."""
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = np.sqrt(np.sum(level**2)) / np.sqrt(square.sum(axis=1, keepdims=True))
         least = np.minimum(limit.min(axis=1, keepdims=True), reach)
         return np.where(np.isfinite(least), least, 0.0)  # a target of zero, too
 
     def dual(self, s: Array, square: Array, product: Array) -> Array:
-        """D by target (p, n) at s."""
         value: Array = s * product
         return value
 

@@ -22,30 +22,28 @@ TURNS = 60  # of Dinkelbach's method; about five are taken
 class SortedNorm(Penalty):
     """SLOPE, sum_i lambda_i |V|_(i), |V|_(1) >= |V|_(2) >= ...: lambda (k,) > 0 descends.
 
-    The dual norm is max_i (|C|_(1) + ... + |C|_(i)) / (lambda_1 + ... + lambda_i).
+    The dual norm is max_i (|C|_(1) + ... + |C|_(i)) / (lambda_1 + ... + lambda_i). The prox is the
+    isotonic regression of the sorted |V| less step lambda; its derivative takes the mean over each
+    cluster of equal |V|. On few columns it has the largest lambdas, as if the others were zero.
     """
 
     weights: Array
 
     @property
     def columns(self) -> int:
-        """The number k of columns."""
         return len(self.weights)
 
     def norm(self, values: Array) -> Array:
-        """The norm of values (..., k, n): shape (...)."""
         ordered = -np.sort(-np.abs(values), axis=-2)
         total: Array = (ordered * self.weights[:, None]).sum(axis=(-2, -1))
         return total
 
     def dual_norm(self, values: Array) -> Array:
-        """The dual norm (..., n) by target."""
         sums = np.cumsum(-np.sort(-np.abs(values), axis=-2), axis=-2)
         peaks: Array = (sums / np.cumsum(self.weights)[:, None]).max(axis=-2)
         return peaks
 
     def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
-        """Of the columns at zero, those whose largest |C| together exceed their lambdas."""
         out = np.full(self.columns, -1.0)
         for pull, weight in zip(np.abs(correlation).T, values.T, strict=True):
             off = np.flatnonzero(weight == 0)
@@ -57,11 +55,9 @@ class SortedNorm(Penalty):
         return out
 
     def restricted(self, index: IntArray) -> Self:
-        """The largest lambdas: the other columns are zero."""
         return replace(self, weights=self.weights[: len(index)])
 
     def prox(self, values: Array, step: float) -> Array:
-        """Isotonic regression of what is left of the sorted absolute values."""
         from scipy.optimize import isotonic_regression
 
         out = np.empty_like(values)
@@ -73,14 +69,12 @@ class SortedNorm(Penalty):
         return out
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
-        """The mean over each cluster of equal |V|."""
         on = np.flatnonzero(values)
         keys = np.stack([(on % values.shape[1]).astype(float), np.abs(values.ravel()[on])])
         block = np.unique(keys, axis=1, return_inverse=True)[1].ravel()
         return on, _means(block, np.sign(values.ravel()[on]))
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """Differences of lambda times sums of the largest."""
         steps = self.weights - np.append(self.weights[1:], 0.0)
         terms = []
         for t, i in np.ndindex(variable.shape[1], self.columns):
@@ -96,7 +90,8 @@ class FusedNorm(Penalty):
 
     By level sets the unit ball's corners are runs of equal weights, so that the dual norm is the
     largest |sum of C over a run| / (r length + (1 - r) ends), of ends that are not the first or the
-    last column; found by Dinkelbach's method, in k operations a turn.
+    last column; found by Dinkelbach's method, in k operations a turn. The prox is that of the total
+    variation, then soft thresholding; its derivative takes the mean over each run of equal weights.
     """
 
     count: int
@@ -104,17 +99,14 @@ class FusedNorm(Penalty):
 
     @property
     def columns(self) -> int:
-        """The number k of columns."""
         return self.count
 
     def norm(self, values: Array) -> Array:
-        """The norm of values (..., k, n): shape (...)."""
         jumps = np.abs(np.diff(values, axis=-2)).sum(axis=(-2, -1))
         total: Array = self.ratio * np.abs(values).sum(axis=(-2, -1)) + (1.0 - self.ratio) * jumps
         return total
 
     def dual_norm(self, values: Array) -> Array:
-        """The dual norm (..., n) by target."""
         k, r = self.count, self.ratio
         shape = (*values.shape[:-2], 1, values.shape[-1])
         sums = np.concatenate([np.zeros(shape), np.cumsum(values, axis=-2)], axis=-2)
@@ -141,19 +133,16 @@ class FusedNorm(Penalty):
         return peak
 
     def prox(self, values: Array, step: float) -> Array:
-        """That of the total variation, then soft thresholding (Friedman et al. 2007)."""
         flat = np.stack([_taut(column, step * (1.0 - self.ratio)) for column in values.T], axis=1)
         return soft(flat, np.full((1, 1), step * self.ratio))
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
-        """The mean over each run of equal weights."""
         on = np.flatnonzero(values)
         change = np.diff(values, axis=0, prepend=np.nan) != 0
         run = (np.cumsum(change, axis=0) + self.count * np.arange(values.shape[1])).ravel()[on]
         return on, _means(np.unique(run, return_inverse=True)[1], np.ones(len(on)))
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """Absolute values and absolute differences."""
         jumps = cvxpy.sum(cvxpy.abs(variable[1:] - variable[:-1])) if self.count > 1 else 0.0
         return self.ratio * cvxpy.sum(cvxpy.abs(variable)) + (1.0 - self.ratio) * jumps, []
 

@@ -143,33 +143,26 @@ class AbsoluteValues(Penalty):
 
     @property
     def blocks(self) -> IntArray:
-        """Each column is a block."""
         return np.arange(len(self.weights))
 
     def norm(self, values: Array) -> Array:
-        """The norm of values (..., k, n): shape (...)."""
         total: Array = (np.abs(values) * self.weights[:, None]).sum(axis=(-2, -1))
         return total
 
     def block_dual_norms(self, values: Array) -> Array:
-        """|C_jt| / omega_j."""
         duals: Array = np.abs(values) / self.weights[:, None]
         return duals
 
     def restricted(self, index: IntArray) -> Self:
-        """The penalty on some of the columns."""
         return replace(self, weights=self.weights[index])
 
     def prox(self, values: Array, step: float) -> Array:
-        """Soft thresholding."""
         return soft(values, step * self.weights[:, None])
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
-        """One where a weight is not zero."""
         return np.flatnonzero(values), None
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """The sum of weighted absolute values."""
         return cvxpy.sum(cvxpy.multiply(self.weights[:, None], cvxpy.abs(variable))), []
 
 
@@ -182,24 +175,23 @@ def lasso_penalty(columns: int) -> AbsoluteValues:
 class BoundedValues(AbsoluteValues):
     """sum_j omega_j |V_jt| where lower_j <= V_jt <= upper_j, and infinite elsewhere.
 
-    lower <= 0 <= upper (k,), in columns of unit rms; 0 and infinity: the non-negative LASSO.
+    lower <= 0 <= upper (k,), in columns of unit rms; 0 and infinity: the non-negative LASSO. Only
+    directions without a bound constrain a dual point; in the others the conjugate is the bound
+    times what exceeds alpha omega_j.
     """
 
     lower: Array
     upper: Array
 
     def norm(self, values: Array) -> Array:
-        """The norm of values within the bounds; infinite outside these."""
         slack = 1e-12 * np.abs(values)
         within = (values >= self.lower[:, None] - slack) & (values <= self.upper[:, None] + slack)
         return np.where(within.all(axis=(-2, -1)), super().norm(values), np.inf)
 
     def block_dual_norms(self, values: Array) -> Array:
-        """The pull of C_jt / omega_j in a direction that is free at zero."""
         return self._pull(values, self.upper > 0, self.lower < 0)
 
     def constraint(self, values: Array) -> Array:
-        """The gauge of the directions without a bound."""
         peaks: Array = self._pull(values, np.isinf(self.upper), np.isinf(self.lower)).max(axis=-2)
         return peaks
 
@@ -211,7 +203,6 @@ class BoundedValues(AbsoluteValues):
         return pull
 
     def excess(self, values: Array, alpha: Array) -> Array:
-        """The conjugate in the directions with a bound: the bound times what exceeds alpha."""
         limit = np.asarray(alpha)[..., None, None] * self.weights[:, None]
         high = np.where(np.isinf(self.upper), 0.0, self.upper)[:, None]
         low = np.where(np.isinf(self.lower), 0.0, -self.lower)[:, None]
@@ -220,26 +211,21 @@ class BoundedValues(AbsoluteValues):
         return total
 
     def in_units(self, level: float) -> Self:
-        """The bounds divided by it, too."""
         plain = super().in_units(level)
         return replace(plain, lower=self.lower / level, upper=self.upper / level)
 
     def restricted(self, index: IntArray) -> Self:
-        """The penalty on some of the columns."""
         lower, upper = self.lower[index], self.upper[index]
         return replace(self, weights=self.weights[index], lower=lower, upper=upper)
 
     def prox(self, values: Array, step: float) -> Array:
-        """Soft thresholding, then the bounds."""
         return np.clip(super().prox(values, step), self.lower[:, None], self.upper[:, None])
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
-        """One where a weight is not zero and not at a bound."""
         free = (values > self.lower[:, None]) & (values < self.upper[:, None])
         return np.flatnonzero(free & (values != 0)), None
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """Absolute values, and the finite bounds."""
         low, high = (np.flatnonzero(np.isfinite(part)) for part in (self.lower, self.upper))
         bounds = [variable[low] >= self.lower[low, None]] if len(low) else []
         bounds += [variable[high] <= self.upper[high, None]] if len(high) else []
@@ -258,32 +244,25 @@ class SquaredNorm(Penalty):
 
     @property
     def columns(self) -> int:
-        """The number k of columns."""
         return self.count
 
     @property
     def coupled(self) -> bool:
-        """One factor serves all targets."""
         return True
 
     def norm(self, values: Array) -> Array:
-        """Zero."""
         return np.zeros(values.shape[:-2])
 
     def dual_norm(self, values: Array) -> Array:
-        """The unit of alpha, k, whatever the values."""
         return np.full((*values.shape[:-2], 1), float(self.count))
 
     def constraint(self, values: Array) -> Array:
-        """Zero: the certificate takes the dual point that obeys it."""
         return np.zeros((*values.shape[:-2], 1))
 
     def prox(self, values: Array, step: float) -> Array:
-        """The values."""
         return values
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """Zero."""
         return 0.0, []
 
 

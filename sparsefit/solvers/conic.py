@@ -189,27 +189,22 @@ def _cone_program(
 class Cvxpy:
     """A solver that cvxpy finds, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
 
-    solver: its name in cvxpy, in lower case.
+    name: its name in cvxpy, in lower case.
     """
 
     package: ClassVar[str] = "cvxpy"
     form: ClassVar[str] = "through cvxpy, in Z'Z, compiled once"
-    solver: str
+    name: str
 
     def __post_init__(self) -> None:
-        if self.solver not in installed_solvers():
-            raise MissingExtra(f"{self.solver} is not installed: pip install {self.solver}")
-
-    @property
-    def name(self) -> str:
-        """The solver's."""
-        return self.solver
+        if self.name not in installed_solvers():
+            raise MissingExtra(f"{self.name} is not installed: pip install {self.name}")
 
     def takes(self, penalty: Penalty) -> str:
         """Every penalty with a conic form; solvers of quadratic programs take no group norms."""
         groups = isinstance(penalty, GroupNorms | NestedNorms)
-        if self.solver in QUADRATIC and (groups or penalty.loss != SQUARES):
-            return f"{self.solver} solves quadratic programs, and group norms are cones"
+        if self.name in QUADRATIC and (groups or penalty.loss != SQUARES):
+            return f"{self.name} solves quadratic programs, and group norms are cones"
         return _no_conic_form(penalty)
 
     def path(
@@ -224,9 +219,9 @@ class Cvxpy:
         matrix, unit = design.columns(np.arange(penalty.columns)), float(alphas[0])
         program, weights = _Program.of(matrix, target, penalty, unit, design.samples), []
         for alpha in alphas.tolist():
-            values, status = program.solved(self.solver, tolerance or 1e-9, alpha)
+            values, status = program.solved(self.name, tolerance or 1e-9, alpha)
             if status != "optimal":
-                warnings.warn(f"{self.solver}: {status}", RuntimeWarning, stacklevel=2)
+                warnings.warn(f"{self.name}: {status}", RuntimeWarning, stacklevel=2)
             weights.append(values)
         return np.stack(weights)
 

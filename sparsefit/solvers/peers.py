@@ -1,4 +1,4 @@
-"""Public solvers, a class each, and a problem in the form that they take it in.
+"""Public solvers, a function each, and a problem in the form that they take it in.
 
 With omega_j the weight of column j's block, u_j = omega_j v_j and targets divided by the largest
 alpha, a penalty of weighted norms is one with weights of one,
@@ -12,12 +12,11 @@ of its own meaning, and the caller's certificate judges them all.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import Any, ClassVar, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from scipy import sparse
@@ -193,32 +192,217 @@ def solved_in_parts(
     return Timed(weights, sum(each.wall for each in timed), sum(each.cpu for each in timed))
 
 
-@dataclass(frozen=True)
-class Peer(ABC):
-    """Base of the public solvers. iterations: the most at a penalty, in the solver's own unit.
+def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
+    """A piecewise linear path at alphas (p,): knots (b,) descending, coefficients (k, b) -> (p, k).
 
-    package: the module that it needs, and extra, what pip installs for it; kinds: the penalties
-    that it takes; form: how the problem is handed over, in words; stops: whether there is a
-    tolerance to set; reads_sparse: whether it takes scipy.sparse (others get a dense copy, which is
-    in their time).
+    Below the last knot, where a path broke off, its last coefficients are all there is.
+    """
+    if len(knots) == 1:
+        return np.repeat(coefficients.T, len(alphas), axis=0)
+    alphas = np.clip(alphas, knots[-1], knots[0])
+    upper = np.clip(np.searchsorted(-knots, -alphas, side="left"), 1, len(knots) - 1)
+    width = knots[upper - 1] - knots[upper]
+    share = np.where(width > 0, (knots[upper - 1] - alphas) / np.where(width > 0, width, 1.0), 1.0)
+    between: Array = coefficients[:, upper - 1] * (1 - share) + coefficients[:, upper] * share
+    return between.T
+
+
+def _lars(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+    """Breakpoints of scikit-learn's LARS (Efron et al. 2004); iterations: events per column."""
+    linear_model: Any = import_module("sklearn.linear_model")
+    most = iterations * len(task.groups)
+    shared = {"method": "lasso", "alpha_min": float(task.fractions[-1]), "max_iter": most}
+    if task.tall:
+        knots, _, values = linear_model.lars_path_gram(
+            *(task.cross(targets) * task.samples, task.gram * task.samples),
+            **shared, n_samples=task.samples, copy_Gram=False,
+        )  # fmt: skip
+    else:
+        target = np.ascontiguousarray(task.target[:, targets])[:, 0]
+        knots, _, values = linear_model.lars_path(task.design, target, Gram=None, **shared)
+    return _interpolated(knots, values, task.fractions)
+
+
+def _spams(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+    """Breakpoints of the LARS of SPAMS; iterations: events per row or column."""
+    spams: Any = import_module("spams")
+    root, columns = math.sqrt(task.samples), len(task.groups)
+    cross = np.asfortranarray(task.cross(targets)[:, None])
+    if task.tall:
+        data = {"Q": np.array(task.gram, order="F"), "q": cross}
+    else:
+        data = {"D": np.asfortranarray(task.design / root)}
+    _, steps = spams.lasso(
+        np.asfortranarray(task.target[:, targets] / root), **data, return_reg_path=True,
+        lambda1=float(task.fractions[-1]), mode=spams.PENALTY, numThreads=1,
+        max_length_path=iterations * min(task.samples, columns),
+    )  # fmt: skip
+    values = np.hstack([np.zeros((columns, 1)), np.asarray(steps)])
+    # It returns the breakpoints without their penalties: the largest correlation there is one.
+    fitted = task.gram @ values if task.tall else data["D"].T @ (data["D"] @ values)
+    knots = np.minimum.accumulate(np.abs(cross - fitted).max(axis=0))
+    return _interpolated(knots, values, task.fractions)
+
+
+def _descent(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+    """Coordinate descent of scikit-learn, each point from the last; stop: of its gap."""
+    linear_model: Any = import_module("sklearn.linear_model")
+    form: dict[str, Any] = {"precompute": False}
+    if task.tall:
+        form = {"precompute": task.gram * task.samples, "Xy": task.cross(targets) * task.samples}
+    (alphas, ratio), values = task.elastic, [np.zeros(len(task.groups))]
+    target = np.ascontiguousarray(task.target[:, targets])[:, 0]
+    for alpha in alphas.tolist():
+        # It works in place on what it is given.
+        _, coefficients, _ = linear_model.enet_path(
+            task.design, target, l1_ratio=ratio, alphas=[alpha], tol=stop,
+            coef_init=values[-1].copy(), max_iter=iterations, check_input=False, **form,
+        )  # fmt: skip
+        values.append(coefficients[:, 0].copy())
+    return np.stack(values[1:])
+
+
+def _celer(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+    """``celer_path`` (Massias, Gramfort and Salmon 2018); stop: of its gap over |y|^2."""
+    (alphas, ratio), single = task.elastic, task.kind in SINGLE
+    package: Any = import_module("celer")
+    _, coefficients, *_ = package.celer_path(
+        *task.rows(targets), "lasso" if single else "grouplasso", alphas=alphas, l1_ratio=ratio,
+        groups=None if single else [block.tolist() for block in task.blocks(targets)],
+        max_iter=iterations, tol=stop,
+    )  # fmt: skip
+    values: Array = coefficients.T
+    return values
+
+
+def _glum(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+    """IRLS with descent; stop: the norm of its minimum-norm subgradient."""
+    package: Any = import_module("glum")
+    (design, target), (alphas, ratio) = task.rows(targets), task.elastic
+    model = package.GeneralizedLinearRegressor(
+        l1_ratio=ratio, fit_intercept=False, family="normal", solver="irls-cd", warm_start=True,
+        gradient_tol=stop, max_iter=iterations, copy_X=False, check_input=False,
+    )  # fmt: skip
+    fits = (model.set_params(alpha=alpha).fit(design, target) for alpha in alphas.tolist())
+    return np.stack([np.array(each.coef_) for each in fits])
+
+
+def _sortedl1(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+    """``Slope.path`` (Larsson et al. 2023), the whole of it; stop: of its relative gap."""
+    package: Any = import_module("sortedl1")
+    design, target = task.rows(targets)
+    columns = design.shape[1]
+    lambdas = np.ones(columns) if task.lambdas is None else task.lambdas
+    model = package.Slope(lam=lambdas, fit_intercept=False, tol=stop, max_iter=iterations)
+    path = model.path(
+        *(design, target), alphas=task.fractions, tol_dev_change=0.0, tol_dev_ratio=1.0,
+        max_clusters=columns + 1,
+    )  # fmt: skip
+    values: Array = np.asarray(path.coefs).reshape(columns, -1).T
+    return values
+
+
+def _skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+    """AndersonCD, GroupBCD or FISTA (Bertrand et al. 2022), each point from the last one.
+
+    stop: of the largest violation of its optimality conditions, in the largest penalty.
+    """
+    solvers, datafits = import_module("skglm.solvers"), import_module("skglm.datafits")
+    penalties: Any = import_module("skglm.penalties")
+    compiled = import_module("skglm.utils.jit_compilation").compiled_clone
+    (design, target), (alphas, ratio) = task.rows(targets), task.elastic
+    ends: dict[str, Any] = {"max_iter": iterations, "tol": stop}
+    warm: dict[str, Any] = {"max_epochs": 50 * iterations, "warm_start": True}
+    datafit, blocks = datafits.Quadratic(), task.blocks(targets)
+    starts = np.concatenate([[0], np.cumsum(list(map(len, blocks)))]).astype(np.int32)
+    layout, ones = (starts, np.concatenate(blocks).astype(np.int32)), np.ones(len(blocks))
+    make: Callable[[float], Any]
+    if task.kind in SINGLE:
+        solver: Any = solvers.AndersonCD(**ends, **warm, fit_intercept=False)
+        make = partial(penalties.L1_plus_L2, l1_ratio=ratio) if task.ridge else penalties.L1
+    elif task.kind == "SLOPE":
+        ends["max_iter"] *= 100
+        solver = solvers.FISTA(**ends, opt_strategy="fixpoint")
+        make = partial(penalties.SLOPE, task.lambdas)
+    else:
+        plain = task.lambdas is None
+        strategy = "subdiff" if plain else "fixpoint"
+        solver = solvers.GroupBCD(**ends, **warm, ws_strategy=strategy)
+        datafit = datafits.QuadraticGroup(*layout)
+        norms = penalties.WeightedGroupL2 if plain else penalties.WeightedL1GroupL2
+
+        def make(alpha: float) -> Any:
+            return norms(alpha, ones, *(() if plain else (task.lambdas,)), *layout)
+
+    datafit, penalty, fitted = compiled(datafit), None, np.zeros(len(target))
+    values = [np.zeros(design.shape[1])]
+    for alpha in alphas.tolist():
+        if penalty is None or task.kind in ("elastic net", "SLOPE"):
+            penalty = compiled(make(alpha))
+        penalty.alpha = alpha
+        last = values[-1].copy()
+        values.append(solver.solve(design, target, datafit, penalty, last, fitted)[0])
+        fitted = design @ values[-1]
+    return np.stack(values[1:])
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Data on a public solver, as `PEERS` lists it.
+
+    solved: (task, targets, stop, iterations) -> coefficients u (p, k b) of b targets, target by
+    target; package: the module it needs, and extra, what pip installs for it; kinds: the penalties
+    that it takes; form: how the problem is handed over, in words; iterations: the most at a
+    penalty, in its own unit, by default; stops: whether there is a tolerance to set; reads_sparse:
+    whether it takes scipy.sparse (others get a dense copy, which is in their time).
     """
 
-    name: ClassVar[str]
-    package: ClassVar[str]
-    extra: ClassVar[str] = "'sparsefit[peers]'"
-    kinds: ClassVar[tuple[Kind, ...]]
-    form: ClassVar[str]
-    stops: ClassVar[bool] = True
-    reads_sparse: ClassVar[bool] = True
+    solved: Callable[..., Array]
+    package: str
+    kinds: tuple[Kind, ...]
+    form: str
     iterations: int = 1000
+    stops: bool = True
+    reads_sparse: bool = True
+    extra: str = "'sparsefit[peers]'"
+
+
+BREAKPOINTS: dict[str, Any] = {"iterations": 10, "stops": False, "reads_sparse": False}
+PEERS: dict[str, Entry] = {
+    "scikit-learn-lars": Entry(_lars, "sklearn", SINGLE[:1], f"lars_path {ON_GRAM}", **BREAKPOINTS),
+    "spams": Entry(
+        _spams, "spams", SINGLE[:1], f"LARS {ON_GRAM}", **BREAKPOINTS, extra="spams-bin"
+    ),
+    "scikit-learn-cd": Entry(_descent, "sklearn", SINGLE, f"enet_path {ON_GRAM}", 100_000),
+    "celer": Entry(_celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200),
+    "skglm": Entry(
+        *(_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
+        f"AndersonCD, GroupBCD, FISTA {ON_ROWS}",
+    ),
+    "glum": Entry(_glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}"),
+    "sortedl1": Entry(_sortedl1, "sortedl1", ("SLOPE", "LASSO"), f"Slope.path {ON_ROWS}", 100_000),
+}
+"""The public solvers of penalised least squares by name."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """The public solver of a name in `PEERS`.
+
+    iterations: the most at a penalty, in the solver's own unit; None: its entry's.
+    """
+
+    name: str
+    iterations: int | None = None
 
     def __post_init__(self) -> None:
-        integer(f"{self.name}: iterations", self.iterations, 1)
+        if self.iterations is not None:
+            integer(f"{self.name}: iterations", self.iterations, 1)
 
     def takes(self, penalty: Penalty) -> str:
         """The reason why it does not solve this penalty; empty where it does."""
-        takes = kind_of(penalty) in self.kinds
-        return "" if takes else f"{self.name} solves {', '.join(self.kinds)} only"
+        kinds = PEERS[self.name].kinds
+        return "" if kind_of(penalty) in kinds else f"{self.name} solves {', '.join(kinds)} only"
 
     def path(
         self,
@@ -231,248 +415,7 @@ class Peer(ABC):
         """Weights (p, k, n) of columns of unit rms; see `registry`. Raises InputError."""
         if reason := self.takes(penalty):
             raise InputError(reason)
-        call, dense = partial(self.solved, stop=tolerance or 1e-8), not self.reads_sparse
-        return solved_in_parts(call, design, target, penalty, alphas, dense=dense)
-
-    @abstractmethod
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """Coefficients u (p, k b) of b targets, target by target; stop: the tolerance."""
-
-
-@dataclass(frozen=True)
-class ScikitLars(Peer):
-    """Breakpoints of LARS (Efron et al. 2004) on X'X where samples are many, else on X.
-
-    iterations: events per column.
-    """
-
-    name: ClassVar[str] = "scikit-learn-lars"
-    package: ClassVar[str] = "sklearn"
-    kinds: ClassVar[tuple[Kind, ...]] = ("LASSO",)
-    form: ClassVar[str] = f"lars_path {ON_GRAM}"
-    stops: ClassVar[bool] = False
-    reads_sparse: ClassVar[bool] = False
-    iterations: int = 10
-
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """The path between its knots."""
-        linear_model: Any = import_module("sklearn.linear_model")
-        most = self.iterations * len(task.groups)
-        shared = {"method": "lasso", "alpha_min": float(task.fractions[-1]), "max_iter": most}
-        if task.tall:
-            knots, _, values = linear_model.lars_path_gram(
-                *(task.cross(targets) * task.samples, task.gram * task.samples),
-                **shared, n_samples=task.samples, copy_Gram=False,
-            )  # fmt: skip
-        else:
-            target = np.ascontiguousarray(task.target[:, targets])[:, 0]
-            knots, _, values = linear_model.lars_path(task.design, target, Gram=None, **shared)
-        return _interpolated(knots, values, task.fractions).T
-
-
-@dataclass(frozen=True)
-class Spams(Peer):
-    """Breakpoints of the LARS of SPAMS, on X'X/m where samples are many, else on X.
-
-    iterations: events per row or column.
-    """
-
-    name: ClassVar[str] = "spams"
-    package: ClassVar[str] = "spams"
-    extra: ClassVar[str] = "spams-bin"
-    kinds: ClassVar[tuple[Kind, ...]] = ("LASSO",)
-    form: ClassVar[str] = f"LARS {ON_GRAM}"
-    stops: ClassVar[bool] = False
-    reads_sparse: ClassVar[bool] = False
-    iterations: int = 10
-
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """The path between its knots."""
-        spams: Any = import_module("spams")
-        root, columns = math.sqrt(task.samples), len(task.groups)
-        cross = np.asfortranarray(task.cross(targets)[:, None])
-        data = {"D": np.asfortranarray(task.design / root)} if not task.tall else {}
-        if task.tall:
-            data = {"Q": np.array(task.gram, order="F"), "q": cross}
-        _, steps = spams.lasso(
-            np.asfortranarray(task.target[:, targets] / root), **data, return_reg_path=True,
-            lambda1=float(task.fractions[-1]), mode=spams.PENALTY, numThreads=1,
-            max_length_path=self.iterations * min(task.samples, columns),
-        )  # fmt: skip
-        values = np.hstack([np.zeros((columns, 1)), np.asarray(steps)])
-        # It returns the breakpoints without their penalties: the largest correlation there is one.
-        fitted = task.gram @ values if task.tall else data["D"].T @ (data["D"] @ values)
-        knots = np.minimum.accumulate(np.abs(cross - fitted).max(axis=0))
-        return _interpolated(knots, values, task.fractions).T
-
-
-def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
-    """A piecewise linear path at alphas (p,): knots (b,) descending, coefficients (k, b) -> (k, p).
-
-    Below the last knot, where a path broke off, its last coefficients are all there is.
-    """
-    if len(knots) == 1:
-        return np.repeat(coefficients, len(alphas), axis=1)
-    alphas = np.clip(alphas, knots[-1], knots[0])
-    upper = np.clip(np.searchsorted(-knots, -alphas, side="left"), 1, len(knots) - 1)
-    width = knots[upper - 1] - knots[upper]
-    share = np.where(width > 0, (knots[upper - 1] - alphas) / np.where(width > 0, width, 1.0), 1.0)
-    between: Array = coefficients[:, upper - 1] * (1 - share) + coefficients[:, upper] * share
-    return between
-
-
-@dataclass(frozen=True)
-class ScikitDescent(Peer):
-    """Coordinate descent of scikit-learn, each point from the last; tolerance: of its gap."""
-
-    name: ClassVar[str] = "scikit-learn-cd"
-    package: ClassVar[str] = "sklearn"
-    kinds: ClassVar[tuple[Kind, ...]] = SINGLE
-    form: ClassVar[str] = f"enet_path {ON_GRAM}"
-    iterations: int = 100_000
-
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """Point by point."""
-        linear_model: Any = import_module("sklearn.linear_model")
-        form: dict[str, Any] = {"precompute": False}
-        if task.tall:
-            gram, cross = task.gram * task.samples, task.cross(targets) * task.samples
-            form = {"precompute": gram, "Xy": cross}
-        (alphas, ratio), values = task.elastic, [np.zeros(len(task.groups))]
-        target = np.ascontiguousarray(task.target[:, targets])[:, 0]
-        for alpha in alphas.tolist():
-            # It works in place on what it is given.
-            _, coefficients, _ = linear_model.enet_path(
-                task.design, target, l1_ratio=ratio, alphas=[alpha], tol=stop,
-                coef_init=values[-1].copy(), max_iter=self.iterations, check_input=False, **form,
-            )  # fmt: skip
-            values.append(coefficients[:, 0].copy())
-        return np.stack(values[1:])
-
-
-@dataclass(frozen=True)
-class Celer(Peer):
-    """``celer_path`` (Massias, Gramfort and Salmon 2018); tolerance: of its gap over |y|^2."""
-
-    name: ClassVar[str] = "celer"
-    package: ClassVar[str] = "celer"
-    kinds: ClassVar[tuple[Kind, ...]] = (*SINGLE, *GROUPED)
-    form: ClassVar[str] = f"celer_path {ON_ROWS}"
-    iterations: int = 200
-
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """Its own path."""
-        package: Any = import_module("celer")
-        (alphas, ratio), single = task.elastic, task.kind in SINGLE
-        _, coefficients, *_ = package.celer_path(
-            *task.rows(targets), "lasso" if single else "grouplasso", alphas=alphas, l1_ratio=ratio,
-            groups=None if single else [block.tolist() for block in task.blocks(targets)],
-            max_iter=self.iterations, tol=stop,
-        )  # fmt: skip
-        values: Array = coefficients.T
-        return values
-
-
-@dataclass(frozen=True)
-class Glum(Peer):
-    """The IRLS with descent of glum; tolerance: the norm of its minimum-norm subgradient."""
-
-    name: ClassVar[str] = "glum"
-    package: ClassVar[str] = "glum"
-    kinds: ClassVar[tuple[Kind, ...]] = SINGLE
-    form: ClassVar[str] = f"its regressor, normal {ON_ROWS}"
-
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """Point by point, each from the last."""
-        package: Any = import_module("glum")
-        (design, target), (alphas, ratio) = task.rows(targets), task.elastic
-        model = package.GeneralizedLinearRegressor(
-            l1_ratio=ratio, fit_intercept=False, family="normal", solver="irls-cd", warm_start=True,
-            gradient_tol=stop, max_iter=self.iterations, copy_X=False, check_input=False,
-        )  # fmt: skip
-        values = []
-        for alpha in alphas.tolist():
-            model.set_params(alpha=alpha).fit(design, target)
-            values.append(np.array(model.coef_))
-        return np.stack(values)
-
-
-@dataclass(frozen=True)
-class SortedL1(Peer):
-    """``Slope.path`` of sortedl1 (Larsson et al. 2023); tolerance: of its relative gap."""
-
-    name: ClassVar[str] = "sortedl1"
-    package: ClassVar[str] = "sortedl1"
-    kinds: ClassVar[tuple[Kind, ...]] = ("SLOPE", "LASSO")
-    form: ClassVar[str] = f"Slope.path {ON_ROWS}"
-    iterations: int = 100_000
-
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """Its whole path, however little its last points explain."""
-        package: Any = import_module("sortedl1")
-        design, target = task.rows(targets)
-        columns = design.shape[1]
-        lambdas = np.ones(columns) if task.lambdas is None else task.lambdas
-        model = package.Slope(lam=lambdas, fit_intercept=False, tol=stop, max_iter=self.iterations)
-        path = model.path(
-            *(design, target), alphas=task.fractions, tol_dev_change=0.0, tol_dev_ratio=1.0,
-            max_clusters=columns + 1,
-        )  # fmt: skip
-        values: Array = np.asarray(path.coefs).reshape(columns, -1).T
-        return values
-
-
-@dataclass(frozen=True)
-class Skglm(Peer):
-    """AndersonCD, GroupBCD or FISTA of skglm (Bertrand et al. 2022), each point from the last one.
-
-    tolerance: of the largest violation of its optimality conditions, in the largest penalty.
-    """
-
-    name: ClassVar[str] = "skglm"
-    package: ClassVar[str] = "skglm"
-    kinds: ClassVar[tuple[Kind, ...]] = (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")
-    form: ClassVar[str] = f"AndersonCD, GroupBCD, FISTA {ON_ROWS}"
-
-    def solved(self, task: Task, targets: slice, stop: float) -> Array:
-        """Point by point, by the one of its solvers that takes the penalty."""
-        solvers, datafits = import_module("skglm.solvers"), import_module("skglm.datafits")
-        penalties: Any = import_module("skglm.penalties")
-        compiled = import_module("skglm.utils.jit_compilation").compiled_clone
-        (design, target), (alphas, ratio) = task.rows(targets), task.elastic
-        ends: dict[str, Any] = {"max_iter": self.iterations, "tol": stop}
-        warm: dict[str, Any] = {"max_epochs": 50 * self.iterations, "warm_start": True}
-        datafit, blocks = datafits.Quadratic(), task.blocks(targets)
-        starts = np.concatenate([[0], np.cumsum(list(map(len, blocks)))]).astype(np.int32)
-        layout, ones = (starts, np.concatenate(blocks).astype(np.int32)), np.ones(len(blocks))
-        make: Callable[[float], Any]
-        if task.kind in SINGLE:
-            solver: Any = solvers.AndersonCD(**ends, **warm, fit_intercept=False)
-            make = partial(penalties.L1_plus_L2, l1_ratio=ratio) if task.ridge else penalties.L1
-        elif task.kind == "SLOPE":
-            ends["max_iter"] *= 100
-            solver = solvers.FISTA(**ends, opt_strategy="fixpoint")
-            make = partial(penalties.SLOPE, task.lambdas)
-        else:
-            strategy = "subdiff" if task.lambdas is None else "fixpoint"
-            solver = solvers.GroupBCD(**ends, **warm, ws_strategy=strategy)
-            datafit = datafits.QuadraticGroup(*layout)
-            parts = (ones,) if task.lambdas is None else (ones, task.lambdas)
-            norms = "WeightedGroupL2" if task.lambdas is None else "WeightedL1GroupL2"
-
-            def make(alpha: float) -> Any:
-                return getattr(penalties, norms)(alpha, *parts, *layout)
-
-        datafit, penalty, fitted = compiled(datafit), None, np.zeros(len(target))
-        values = [np.zeros(design.shape[1])]
-        for alpha in alphas.tolist():
-            if penalty is None or task.kind in ("elastic net", "SLOPE"):
-                penalty = compiled(make(alpha))
-            penalty.alpha = alpha
-            last = values[-1].copy()
-            values.append(solver.solve(design, target, datafit, penalty, last, fitted)[0])
-            fitted = design @ values[-1]
-        return np.stack(values[1:])
-
-
-PEERS: tuple[type[Peer], ...] = (ScikitLars, Spams, ScikitDescent, Celer, Skglm, Glum, SortedL1)
+        entry = PEERS[self.name]
+        most = self.iterations or entry.iterations
+        call = partial(entry.solved, stop=tolerance or 1e-8, iterations=most)
+        return solved_in_parts(call, design, target, penalty, alphas, dense=not entry.reads_sparse)

@@ -134,7 +134,6 @@ class Lasso(PenalisedPath):
     positive: bool = False
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Every coefficient a block of its own."""
         return _signed(lasso_penalty(problem.columns), self.positive)
 
 
@@ -152,7 +151,6 @@ class ElasticNet(PenalisedPath):
     positive: bool = False
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Every coefficient a block of its own, and a ridge."""
         rms = float(np.sqrt(problem.statistics.target_square.mean())) or 1.0
         weights = np.full(problem.columns, self.l1_ratio)
         plain = AbsoluteValues(weights, ridge=(1.0 - self.l1_ratio) / rms)
@@ -177,7 +175,6 @@ class Ridge(PenalisedPath):
     solver: str = "cholesky"
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """A ridge alone."""
         return SquaredNorm(problem.columns)
 
 
@@ -192,7 +189,6 @@ class SquareRootLasso(PenalisedPath):
     solver: str = "scaled-homotopy"
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Every coefficient a block of its own, added to a root."""
         return replace(lasso_penalty(problem.columns), loss=RootSquares())
 
 
@@ -209,7 +205,6 @@ class HuberLasso(PenalisedPath):
     clip: float = setting(1.0, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Every coefficient a block of its own, added to Huber's loss."""
         return replace(lasso_penalty(problem.columns), loss=Squares(clip=self.clip))
 
 
@@ -226,7 +221,6 @@ class Slope(PenalisedPath):
     rate: float = setting(0.1, low=1e-6, high=1.0 - 1e-6)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Weights by rank."""
         from scipy.special import ndtri
 
         k = problem.columns
@@ -246,7 +240,6 @@ class FusedLasso(PenalisedPath):
     l1_ratio: float = setting(0.1, low=0.0, high=1.0, open_low=True, meaning=NO_RIDGE)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Absolute values and differences of neighbours."""
         return FusedNorm(problem.columns, self.l1_ratio)
 
 
@@ -272,7 +265,6 @@ class GroupLasso(Grouped):
     name: ClassVar[str] = "group-lasso"
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Blocks of the problem's groups."""
         return self.norms(problem)
 
 
@@ -289,7 +281,6 @@ class SparseGroupLasso(Grouped):
     l1_ratio: float = setting(0.5, low=0.0, high=1.0, meaning=RATIO)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Blocks of the problem's groups, and those within them."""
         ratio = self.l1_ratio
         inner: AbsoluteValues | GroupNorms = AbsoluteValues(np.full(problem.columns, ratio))
         if problem.subgroups is not None:
@@ -315,7 +306,6 @@ class AdaptiveLasso(PenalisedPath):
     pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Every coefficient a block of its own, weighted by the first fit."""
         alone = np.arange(problem.columns)
         return AbsoluteValues(_pilot_factors(problem, alone, self.pilot_ridge, self.power))
 
@@ -334,7 +324,6 @@ class AdaptiveGroupLasso(Grouped):
     pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        """Blocks of the problem's groups, weighted by the first fit."""
         factors = _pilot_factors(problem, problem.groups, self.pilot_ridge, self.power)
         return self.norms(problem, factors)
 

@@ -37,13 +37,13 @@ from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.conic import BEHIND_CVXPY, Clarabel, Cvxpy
-from sparsefit.solvers.peers import PEERS, Task, Timed, kind_of, solved_in_parts
+from sparsefit.solvers.peers import PEERS, Peer, Task, Timed, kind_of, solved_in_parts
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 __all__ = ["Recipe", "Solver", "answers", "shipped_solvers", "solver", "solver_names"]
-SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **{cls.name: cls for cls in PEERS}}
+SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **dict.fromkeys(PEERS, Peer)}
 
 
 class Solver(Protocol):
@@ -118,16 +118,21 @@ class Recipe:
         owner = imported(f"solver {self.name!r} (plug-in)", _plugins()[self.name].load)
         return _checked(self.name, owner)
 
+    @property
+    def _texts(self) -> Any:
+        """The entry of a public solver, else the class: its optional texts."""
+        return None if self.command else PEERS.get(self.name if not self.file else "", self.owner)
+
     def make(self) -> Solver:
         """The solver. Raises InputError on an unknown name or setting, MissingExtra as `solver`."""
         if self.command:
             folder = str(Path(self.file).parent) if self.file else "."
             return Command(self.name, self.command, folder, dict(self.settings))
         owner = self.owner
-        preset = {"solver": self.name} if owner is Cvxpy else {}
         if self.package and importlib.util.find_spec(self.package) is None:
-            extra = getattr(owner, "extra", self.package)
+            extra = getattr(self._texts, "extra", self.package)
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
+        preset = {"name": self.name} if owner in (Peer, Cvxpy) else {}
         return cast(Solver, made(f"solver {self.name}", owner, self.settings, **preset))
 
     @property
@@ -145,17 +150,17 @@ class Recipe:
         if self.command:
             return f"the command {' '.join(self.command)}"
         first = (self.owner.__doc__ or "").strip().split("\n")[0]
-        return str(getattr(self.owner, "form", first))
+        return str(getattr(self._texts, "form", first))
 
     @property
     def stops(self) -> bool:
         """Whether a tolerance can be set."""
-        return bool(self.command) or bool(getattr(self.owner, "stops", True))
+        return bool(getattr(self._texts, "stops", True))
 
     @property
     def package(self) -> str:
         """The package that must be importable; empty of a command, and where none is needed."""
-        return "" if self.command else str(getattr(self.owner, "package", ""))
+        return str(getattr(self._texts, "package", ""))
 
 
 def answers(
@@ -304,23 +309,21 @@ class Command:
         """Seconds of wall and CPU [s] between the two lines of the program."""
         program, *rest = self.command
         first = str(Path(self.folder, program).absolute()) if "/" in program else program
-        pipe: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-        words = [first, *rest, str(folder)]
-        process = subprocess.Popen(words, cwd=self.folder or None, **pipe, text=True)
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            ready = process.stdout.readline()
-            wall, cpu = perf_counter(), _cpu_seconds(process.pid)
-            if ready:
-                process.stdin.write("go\n")
-                process.stdin.flush()
-            done = process.stdout.readline() if ready else ""
-            wall, cpu = perf_counter() - wall, _cpu_seconds(process.pid) - cpu
-            _, printed = process.communicate()
-        finally:
-            process.kill()
-            process.wait()
+        pipes: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+        words, where = [first, *rest, str(folder)], self.folder or None
+        started: Any = subprocess.Popen(words, cwd=where, **pipes, text=True)
+        with started as process:
+            try:
+                ready = process.stdout.readline()
+                wall, cpu = perf_counter(), _cpu_seconds(process.pid)
+                if ready:
+                    process.stdin.write("go\n")
+                    process.stdin.flush()
+                done = process.stdout.readline() if ready else ""
+                wall, cpu = perf_counter() - wall, _cpu_seconds(process.pid) - cpu
+                _, printed = process.communicate()
+            finally:
+                process.kill()
         if not done or process.returncode:
             last = one_line(printed.strip().splitlines()[-1] if printed.strip() else "", 200)
             raise SparsefitError(f"{self.name} ended with code {process.returncode}: {last}")

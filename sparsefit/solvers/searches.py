@@ -110,7 +110,6 @@ class BestScale(SupportSearch):
     most: ClassVar[int] = 1
 
     def step(self, problem: RegressionProblem, weights: Array) -> Array | None:
-        """Weights on the best group; None where these are on it."""
         gains = explained(problem)
         # Z'Z loses what nearly exact fits differ by: those in doubt are compared on the rows.
         close = gains >= gains.max() - DOUBT * problem.statistics.target_square.sum()
@@ -134,7 +133,6 @@ class GroupOMP(SupportSearch):
     stop: Literal["decrease", "bic"] = "decrease"
 
     def step(self, problem: RegressionProblem, weights: Array) -> Array | None:
-        """Weights with one more group, or None where the rule says stop."""
         used = _used(problem, weights)
         if len(used) >= min(self.scales or self.most, int(problem.groups.max()) + 1):
             return None
