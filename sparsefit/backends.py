@@ -64,9 +64,7 @@ BACKENDS: Mapping[str, str] = MappingProxyType(
 )
 """The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""
 
-PUBLIC: Mapping[str, str] = MappingProxyType(
-    {"pysindy": "sparsefit.solvers.pysindy_optimizers:PySindy"}
-)
+PUBLIC: Mapping[str, str] = MappingProxyType({"pysindy": "sparsefit.solvers.least_squares:PySindy"})
 """Back-ends that are another package's, behind an adapter here; they need the extra ``peers``."""
 
 

@@ -158,11 +158,7 @@ def cross_validation(
     losses, fractions = np.empty((FOLDS, len(FRACTIONS))), np.array(FRACTIONS)
     missing = np.full((problem.columns, problem.targets), np.nan)
     for i, fold in enumerate(folds):
-        try:
-            part = problem.part(np.concatenate(folds[:i] + folds[i + 1 :]))
-        except InputError as error:
-            words = f"cross-validation, on a part of the samples: {error}"
-            raise InputError(f"{words}, or give alpha_fraction as a number") from None
+        part = problem.part(np.concatenate(folds[:i] + folds[i + 1 :]))
         answers: Any = backend.solve_path(part, FRACTIONS)
         path = [missing if each.weights is None else each.weights for each in answers]
         rows, levels = problem.theta[fold], [part.intercept_of(each) for each in path]

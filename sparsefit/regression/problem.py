@@ -90,6 +90,8 @@ class RegressionProblem(Brief):
     one group, such as the waves of a ring, for penalties of both; None where there are none.
     ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
     ``adjusted``: weights of the samples and an intercept, which the target here has off already.
+    ``partial``: the rows are some of a problem's, such as those outside of a fold, and may leave a
+    column zero in all of them; it takes no part then.
     """
 
     theta: Any
@@ -102,6 +104,7 @@ class RegressionProblem(Brief):
     subgroups: IntArray | None = None
     parameters: Array | None = None
     adjusted: Adjustment | None = None
+    partial: bool = False
 
     def __post_init__(self) -> None:
         shapes = f"theta {self.theta.shape} and target {self.target.shape} must"
@@ -114,7 +117,10 @@ class RegressionProblem(Brief):
                 values = values.view()
                 values.flags.writeable = False
                 object.__setattr__(self, name, values)
-        _refuse_unfit(self.design.squares, self.names)
+        squares = self.design.squares
+        _refuse_unfit(
+            np.where(squares == 0.0, 1.0, squares) if self.partial else squares, self.names
+        )
         _ = self.digest  # of the data as they are now
         with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
             squares = np.einsum("ij,ij->j", self.target, self.target)
@@ -131,6 +137,7 @@ class RegressionProblem(Brief):
         subgroups: ArrayLike | None = None,
         sample_weight: ArrayLike | None = None,
         intercept: bool = False,
+        partial: bool = False,
     ) -> "RegressionProblem":
         """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
 
@@ -144,9 +151,10 @@ class RegressionProblem(Brief):
         ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
         them every column is a group of its own. ``subgroups``: k labels of smaller groups within
         these. ``sample_weight`` (m,) >= 0 weighs the squares, whatever their sum; ``intercept``
-        projects an unpenalised constant column out. Raises InputError on shapes that do not match,
-        subgroups that span groups, values that are not finite, columns of zeros (or constant ones
-        beside an intercept) and masked arrays.
+        projects an unpenalised constant column out. ``partial``: the rows are some of a problem's.
+        Raises InputError on shapes that do not match, subgroups that span groups, values that are
+        not finite, masked arrays and, but where ``partial``, columns of zeros (or constant ones
+        beside an intercept).
         """
         source, values = _source(theta), _matrix(target, "target")
         columns, inner = int(source.shape[1]), None
@@ -164,7 +172,10 @@ class RegressionProblem(Brief):
         targets, adjusted = tuple(map(str, range(values.shape[1]))), None
         if len(values) == source.shape[0]:
             adjusted, values = Adjustment.of(values, sample_weight, intercept)
-        return cls(source, values, numbers, labels, targets, subgroups=inner, adjusted=adjusted)
+        return cls(
+            *(source, values, numbers, labels, targets),
+            subgroups=inner, adjusted=adjusted, partial=partial,
+        )  # fmt: skip
 
     @cached_property
     def design(self) -> Design:
@@ -215,8 +226,9 @@ class RegressionProblem(Brief):
             weight = None if adjusted.roots is None else adjusted.roots[rows] ** 2
             adjusted, target = Adjustment.of(target, weight, adjusted.direction is not None)
         return replace(
-            self, theta=self.theta[rows], target=target, adjusted=adjusted, sample_count=None
-        )
+            self, theta=self.theta[rows], target=target, adjusted=adjusted, sample_count=None,
+            partial=True,
+        )  # fmt: skip
 
     def alpha_max(self, penalty: Penalty) -> float:
         """The smallest alpha whose solution is zero: the dual norm of Z'u/m of the target's u."""

@@ -3,15 +3,19 @@
 Each iteration of STLSQ (Brunton, Proctor and Kutz 2016, after PySINDy 2.1), for each target on its
 own support S: w = (X_S'X_S + ridge I)^-1 X_S'y, then columns with |w| < threshold leave for good.
 It stops when nothing has ever left, or when the last two supports agree for all targets.
-``unbias``: a last ordinary least squares on the support.
+``unbias``: a last ordinary least squares on the support. `PySindy` is that of PySINDy itself.
 """
 
+import warnings
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.errors import MissingExtra, described, one_line
 from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
@@ -202,3 +206,47 @@ class _System:
                 value = value + dpotrs(factor, gradient, lower=1)[0]
             weights[on, t] = value / s.rms[on]
         return weights
+
+
+@dataclass(frozen=True)
+class PySindy(Checked):
+    """PySINDy's own STLSQ, in its conventions: columns as they are (extra peers).
+
+    threshold: of the weights; ridge: PySINDy's alpha. Raises InputError on settings that are out of
+    range, and MissingExtra without PySINDy.
+    """
+
+    name: ClassVar[str] = "pysindy"
+    certificate_kind: ClassVar[CertificateKind] = "fixed_point"
+    threshold: float = setting(0.1, low=0.0)
+    ridge: float = setting(0.05, low=0.0)
+    max_iterations: int = setting(20, least=1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if find_spec("pysindy") is None:
+            raise MissingExtra("pysindy is not installed: pip install 'sparsefit[peers]'")
+
+    def solve(self, problem: RegressionProblem) -> Solution:
+        """The optimizer's weights; its first warning is its status."""
+        package: Any = import_module("pysindy")  # seconds: not before it is needed
+        settings = {"alpha": self.ridge, "threshold": self.threshold}
+        optimizer = package.STLSQ(max_iter=self.max_iterations, **settings)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                optimizer.fit(problem.rows.copy(), problem.target.copy())
+            except Exception as error:  # a public package may raise anything
+                return Solution(None, "error", f"pysindy: {described(error)}", type(error).__name__)
+        weights = np.asarray(optimizer.coef_, dtype=float).T
+        doubts = [str(w.message) for w in caught if not issubclass(w.category, DeprecationWarning)]
+        words = one_line(doubts[0], 120) if doubts else "returned"
+        if not weights.any():
+            reason = "pysindy: no column is left: lower the threshold"
+            return Solution(None, "unidentifiable", reason, words)
+        return Solution(weights, solver_status=words)
+
+    def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
+        """The weights (k, n) that one more iteration of ours makes of these."""
+        ours = STLSQ("pysindy", self.threshold, self.ridge)
+        return ours.next_weights(problem, weights)

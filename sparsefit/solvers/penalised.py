@@ -15,7 +15,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import InputError, unknown
+from sparsefit.errors import one_of
 from sparsefit.regression.backend import (
     AlphaFraction,
     Checked,
@@ -59,19 +59,12 @@ class PenalisedPath(Checked, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.solver, str):
-            raise InputError(f"{self.name}: solver must be a name, not {self.solver!r}")
-        if self._is_exact or self.solver == "clarabel":
-            return
-        from sparsefit.solvers.registry import solver, solver_names
+        if not self._is_exact:
+            from sparsefit.solvers.registry import BEHIND_CVXPY, solver, solver_names
 
-        try:
-            solver(self.solver)
-        except InputError as error:
-            if not str(error).startswith("unknown solver"):
-                raise
-            valid = (type(self).solver, "exact", *solver_names())
-            raise unknown(f"solver of {self.name}", self.solver, valid) from None
+            names = (type(self).solver, "exact", *solver_names(), *BEHIND_CVXPY)
+            one_of(f"solver of {self.name}", self.solver, names)
+            solver(self.solver)  # which may be missing here
 
     @property
     def _is_exact(self) -> bool:
@@ -86,38 +79,24 @@ class PenalisedPath(Checked, ABC):
         return self.solve_path(problem, (numeric_fraction(self.name, self.alpha_fraction),))[0]
 
     def solve_path(
-        self,
-        problem: RegressionProblem,
-        alpha_fractions: tuple[float, ...],
-        *,
-        tolerance: float | None = None,
+        self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
     ) -> tuple[Solution, ...]:
-        """Solutions at descending penalties, each warm-started by the one before.
-
-        tolerance: where a solver that is not the exact path stops, in its own measure; None leaves
-        the choice to it.
-        """
+        """Solutions at descending penalties, each warm-started by the one before."""
         penalty = self.penalty(problem)
         if not self._is_exact:
             from sparsefit.solvers.registry import answers, solver
 
-            chosen = solver(self.solver)
-            return answers(chosen, problem, penalty, alpha_fractions, tolerance)
-        alphas = problem.alpha_max(penalty) * np.array(alpha_fractions)
-        statistics = problem.statistics
-        points = exact_path(problem.design, problem.target, penalty, alphas, statistics=statistics)
+            return answers(solver(self.solver), problem, penalty, alpha_fractions)
+        alphas, data = problem.alpha_max(penalty) * np.array(alpha_fractions), problem.statistics
+        path = exact_path(problem.design, problem.target, penalty, alphas, statistics=data)
+        weights = path.weights / problem.design.rms[:, None]
+        # A stop that rounding keeps it from is left for the certificate to judge.
+        words = "the path is incomplete at this penalty"
         return tuple(
-            # A stop that rounding keeps it from is left for the certificate to judge.
-            Solution(
-                values,
-                "ok" if done else "inaccurate",
-                "" if done else "the path is incomplete at this penalty",
-                points.words,
-                int(count),
-            )
-            for values, done, count in zip(
-                points.weights / statistics.rms[:, None], points.complete, points.steps, strict=True
-            )
+            Solution(values, "ok", "", path.words, int(count))
+            if done
+            else Solution(values, "inaccurate", words, path.words, int(count))
+            for values, done, count in zip(weights, path.complete, path.steps, strict=True)
         )
 
     def referee(self) -> Self | None:
@@ -171,7 +150,7 @@ class Ridge(PenalisedPath):
     """
 
     name: ClassVar[str] = "ridge"
-    alpha_fraction: float | Literal["auto"] = 0.001
+    alpha_fraction: AlphaFraction = 0.001
     solver: str = "cholesky"
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
@@ -306,17 +285,15 @@ class AdaptiveLasso(PenalisedPath):
     pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        alone = np.arange(problem.columns)
-        return AbsoluteValues(_pilot_factors(problem, alone, self.pilot_ridge, self.power))
+        return AbsoluteValues(_pilot_factors(problem, np.arange(problem.columns), self))
 
 
 @dataclass(frozen=True)
 class AdaptiveGroupLasso(Grouped):
     """The group-LASSO with omega_g = (|V0_g| / max |V0_g|)^-power (Wang and Leng 2008).
 
-    V0 is the ridge fit of the adaptive LASSO; with group_weights ``sqrt-size`` omega_g is larger by
-    the root of the number of columns. power 0 is the group-LASSO. Where alpha_fraction is chosen,
-    the weights are learned in each fold.
+    As `AdaptiveLasso`; with group_weights ``sqrt-size`` omega_g is larger by the root of the number
+    of columns. power 0 is the group-LASSO.
     """
 
     name: ClassVar[str] = "adaptive-group-lasso"
@@ -324,22 +301,17 @@ class AdaptiveGroupLasso(Grouped):
     pilot_ridge: float = setting(0.05, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        factors = _pilot_factors(problem, problem.groups, self.pilot_ridge, self.power)
-        return self.norms(problem, factors)
+        return self.norms(problem, _pilot_factors(problem, problem.groups, self))
 
 
 def _pilot_factors(
-    problem: RegressionProblem, groups: IntArray, ridge: float, power: float
+    problem: RegressionProblem, groups: IntArray, settings: AdaptiveLasso | AdaptiveGroupLasso
 ) -> Array:
-    """(|V0_g| / max |V0_g|)^-power (g,), V0 = (Z'Z/m + ridge I)^-1 Z'Y/m over all targets.
-
-    Norms below 1e-3 of the largest count as that; where all are 0 the factors are 1.
-    """
-    penalty, statistics = SquaredNorm(problem.columns), problem.statistics
-    points = exact_path(
-        problem.design, problem.target, penalty, np.array([ridge]), statistics=statistics
-    )
-    norms = np.sqrt(np.bincount(groups, np.square(points.weights[0]).sum(axis=1)))
+    """The factors omega (g,) of groups of columns; 1 where the ridge fit is zero."""
+    ridge, penalty = np.array([settings.pilot_ridge]), SquaredNorm(problem.columns)
+    data = problem.statistics
+    pilot = exact_path(problem.design, problem.target, penalty, ridge, statistics=data).weights[0]
+    norms = np.sqrt(np.bincount(groups, np.square(pilot).sum(axis=1)))
     largest = float(norms.max())
-    factors: Array = np.maximum(norms / (largest or 1.0), 1e-3) ** -power
+    factors: Array = np.maximum(norms / (largest or 1.0), 1e-3) ** -settings.power
     return factors if largest else np.ones(len(norms))

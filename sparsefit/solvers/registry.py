@@ -42,7 +42,15 @@ from sparsefit.solvers.peers import PEERS, Peer, Task, Timed, kind_of, solved_in
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["Recipe", "Solver", "answers", "shipped_solvers", "solver", "solver_names"]
+__all__ = [
+    "BEHIND_CVXPY",
+    "Recipe",
+    "Solver",
+    "answers",
+    "shipped_solvers",
+    "solver",
+    "solver_names",
+]
 SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **dict.fromkeys(PEERS, Peer)}
 
 

@@ -52,13 +52,15 @@ PROBLEM, THETA, WEIGHTS = "problem.npz", "theta.npz", "weights.npy"
 class Rows:
     """Arrays of a problem in a folder: theta (m, k), dense or CSC, target (m, n), groups (k,).
 
-    samples: the number of rows that theta stands for, where it is compressed.
+    samples: the number of rows that theta stands for, where it is compressed; partial: rows of the
+    problem are left out.
     """
 
     theta: Any
     target: Array
     groups: Any
     samples: int | None
+    partial: bool = False
 
     @classmethod
     def load(cls, folder: str) -> Rows:
@@ -72,7 +74,8 @@ class Rows:
 
     def problem(self) -> RegressionProblem:
         """The regression problem of these rows."""
-        problem = RegressionProblem.from_arrays(self.theta, self.target, self.groups)
+        data = (self.theta, self.target, self.groups)
+        problem = RegressionProblem.from_arrays(*data, partial=self.partial)
         if self.samples is None:
             return problem
         return dataclasses.replace(problem, sample_count=self.samples)
@@ -89,7 +92,9 @@ class Rows:
             numbers = theta.data
         for array in (numbers, target):
             array.setflags(write=False)
-        return Rows(theta, target, self.groups, self.samples if without is None else None)
+        if without is None:
+            return Rows(theta, target, self.groups, self.samples)
+        return Rows(theta, target, self.groups, None, partial=True)
 
 
 def signs_of(rows: int, seed: int) -> tuple[Array, float]:
@@ -113,8 +118,8 @@ def solve(
     backend: Any = backends.get(contender.backend, **contender.settings)
     stop, requested = None if math.isnan(tolerance) else tolerance, tuple(fractions)
     if contender.certified:
-        data = (problem.theta, problem.target, problem.groups)
-        fits = certified_path(RegressionProblem.from_arrays(*data), backend, requested).fits
+        fresh = dataclasses.replace(problem)  # without the sums that it has already
+        fits = certified_path(fresh, backend, requested).fits
         return [Solution(fit.weights, solver_status=fit.status) for fit in fits]
     if not isinstance(backend, PenalisedBackend):
         return [backend.solve(problem)]

@@ -15,7 +15,7 @@ REFUSED = [
     *(("lasso", "alpha_fraction", value, "alpha_fraction") for value in (math.nan, "0.1", True)),
     ("lasso", "solver", "homotpy", 'did you mean "homotopy"'),
     ("lasso", "solver", "variational", "unknown solver of lasso"),
-    ("lasso", "solver", None, "solver must be a name"),
+    ("lasso", "solver", None, 'unknown solver of lasso "None"'),
     ("group-lasso", "solver", "varational", 'did you mean "variational"'),
     ("sparse-group-lasso", "solver", "block-newtn", 'did you mean "block-newton"'),
     ("group-lasso", "separate", 1, "separate"),

@@ -1,4 +1,4 @@
-"""PySINDy's optimizers as back-ends: the support they promise, and ours beside theirs."""
+"""PySINDy's own STLSQ as a back-end: the support it promises, and ours beside it."""
 
 import importlib.util
 
@@ -7,11 +7,10 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError, MissingExtra
+from sparsefit.errors import MissingExtra
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers import pysindy_optimizers as sindy
+from sparsefit.solvers import least_squares
 
-OPTIMIZERS = ("STLSQ", "SR3")
 needs = pytest.mark.skipif(importlib.util.find_spec("pysindy") is None, reason="extra peers")
 
 
@@ -26,9 +25,8 @@ def problem():
 
 
 @needs
-@pytest.mark.parametrize("optimizer", OPTIMIZERS)
-def test_a_clear_support_is_found_and_a_fixed_point(problem, optimizer):
-    found = sf.fit(problem, backends.get("pysindy", optimizer=optimizer, threshold=0.3))
+def test_a_clear_support_is_found_and_a_fixed_point(problem):
+    found = sf.fit(problem, backends.get("pysindy", threshold=0.3))
     assert found.status == "ok", found.reason
     assert found.certificate.kind == "fixed_point"
     assert [np.flatnonzero(w).tolist() for w in found.weights.T] == [[0, 3], [1, 3, 5]]
@@ -42,9 +40,8 @@ def test_stlsq_is_ours(problem):
 
 
 @needs
-@pytest.mark.parametrize("optimizer", OPTIMIZERS)
-def test_a_support_that_its_rule_does_not_give_is_no_fixed_point(problem, optimizer):
-    backend = backends.get("pysindy", optimizer=optimizer, threshold=0.3)
+def test_a_support_that_its_rule_does_not_give_is_no_fixed_point(problem):
+    backend = backends.get("pysindy", threshold=0.3)
     wrong = np.zeros((8, 2))
     wrong[[6, 7], :] = 1.0
     assert np.any((backend.next_weights(problem, wrong) != 0) != (wrong != 0))
@@ -54,11 +51,9 @@ def test_a_support_that_its_rule_does_not_give_is_no_fixed_point(problem, optimi
 def test_no_column_left_is_no_answer(problem):
     found = sf.fit(problem, backends.get("pysindy", threshold=100.0))
     assert found.status == "unidentifiable"
-    with pytest.raises(InputError, match='did you mean "SR3"'):
-        backends.get("pysindy", optimizer="SR4")
 
 
 def test_without_pysindy_its_extra_is_named(monkeypatch):
-    monkeypatch.setattr(sindy, "find_spec", lambda _: None)
+    monkeypatch.setattr(least_squares, "find_spec", lambda _: None)
     with pytest.raises(MissingExtra, match=r"sparsefit\[peers\]"):
         backends.get("pysindy")
