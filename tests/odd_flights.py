@@ -1,11 +1,14 @@
 """Regression problems of random flights, every second one of them made degenerate."""
 
+from typing import get_args
+
 import numpy as np
 
 import sparsefit as sf
 from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.study.data_sets import ALTERATIONS, altered
+from sparsefit.study.data_sets import altered
+from sparsefit.study.keys import Alteration
 from tests.problems import VEHICLE
 
 SAMPLE_RATE, WINDOW = 100.0, 5  # the derivative drops half a window at either end
@@ -29,7 +32,7 @@ def odd_problem(seed):
     )
     grid = LengthScaleGrid(count=scales)
     problem = Library(grid).build(sf.Derivative("savgol", WINDOW, 4)(flight), VEHICLE)
-    names = tuple(ALTERATIONS)
+    names = get_args(Alteration)
     name = names[0] if seed % 2 == 0 else names[1 + (seed // 2) % (len(names) - 1)]
     theta, target = altered(name, problem.theta, problem.target, draw)
     odd = RegressionProblem.from_arrays(theta, target, groups=problem.groups)

@@ -65,7 +65,7 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
 
 def meanings(section: str) -> dict[str, str]:
     """The words of each key of a section: of its records, or of study-keys.toml."""
-    words = keys.keys_of(section) if section in keys.RECORDS else {}
+    words = keys.keys_of(section) if section in keys.OWN else {}
     return words | tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8")).get(section, {})
 
 

@@ -75,6 +75,13 @@ class Option:
     extra: Mapping[str, Any] | None = None
 
 
+def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:
+    """The option of a key of a study file, with the words of the key."""
+    sentence = words.replace("`", "").replace("%", "%%").removesuffix(" Needed.")
+    extra = {"default": None} if read is None else None  # as a flag that was not given
+    return Option(f"--{key.replace('_', '-')}", sentence, metavar, read, extra)
+
+
 def declare(parser: argparse._ActionsContainer, options: Iterable[Option]) -> None:
     """Declare options in a parser or a group of one."""
     for option in options:

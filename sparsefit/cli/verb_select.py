@@ -5,11 +5,25 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from typing import TYPE_CHECKING
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import FORCE, JSON, RESULTS, Option, Verbs, declare, number, verb, whole
+from sparsefit.cli.options import (
+    FORCE,
+    JSON,
+    RESULTS,
+    Option,
+    Verbs,
+    declare,
+    number,
+    option_of,
+    verb,
+    whole,
+)
 from sparsefit.cli.terminal import Progress, check_output, emit
 from sparsefit.cli.verb_study import STUDY, stored
+from sparsefit.study.keys import SelectionRule
+from sparsefit.study.schema import names_of, sentences
 
 if TYPE_CHECKING:
     from sparsefit.study.selection import Check, Selection
@@ -21,27 +35,9 @@ EXAMPLE = """\
   sparsefit select studies/NAME.toml --criterion "95th percentile length-scale-error"
   sparsefit select studies/NAME.toml --on-board && sparsefit export estimator.json --c flow
 """
-RULE = (  # a key of [select] is the name of its option
-    Option("--criterion", "a summary and a measure; default: mean timescale-error", "WORDS"),
-    Option("--over", "average of the regimes, the worst of them, or the name of one", "WHICH"),
-    Option("--margin", "how much worse than the best a simpler one may be", "SHARE", number()),
-    Option("--simplest", "what simple means: listed first in the study file, or fastest", "HOW"),
-    Option("--max-failure", "most flights without an estimate, in every regime", "SHARE",
-           number()),
-    Option("--max-silent-misses", "most flights called ok and off by over 5 %%", "SHARE",
-           number()),
-    Option("--max-error", "most of the 95th percentile of the largest error", "PERCENT",
-           number("%")),
-    Option("--max-latency-p99", "most of the 99th percentile of the latency", "S", number("s")),
-    Option("--max-memory", "most peak memory of the process", "MB", number("MB")),
-    Option("--latency-flights", "flights that each candidate is timed on; 0: none", "N", whole),
-    Option("--check", "flights of fresh seeds to check the choice on; 0: none", "N", whole),
-    Option("--seed", "of the bootstrap", "N", whole),
-    Option("--regime", "a factor whose levels are the regimes, world or flights.KEY; repeat it "
-           "for more", "FACTOR", extra={"action": "append", "dest": "regimes"}),
-    Option("--on-board", "score candidates as they would fly, sample by sample, as `export` writes "
-           "them; flies them first where that was not done", read=None, extra={"default": None}),
-)  # fmt: skip
+READERS: dict[type, tuple[Any, str]] = {
+    bool: (None, ""), int: (whole, "N"), str: (str, "WORDS")
+}  # fmt: skip
 RUN = (
     Option("--processes", "of --check; default: one per processor", "N", whole),
     Option("--measure-again", "time the candidates anew, known or not", read=None),
@@ -58,7 +54,13 @@ def add(verbs: Verbs) -> None:
     parser = verb(verbs, "select", run, summary=summary, example=EXAMPLE)
     declare(parser, (STUDY, RESULTS))
     rule = parser.add_argument_group("rule", "in place of what [select] of the study file says")
-    declare(rule, RULE)
+    words = sentences(SelectionRule)
+    for item in fields(SelectionRule):
+        unit = item.metadata["unit"]
+        read, metavar = number(unit), unit.upper() or "NUMBER"
+        if isinstance(item.default, bool | int | str):
+            read, metavar = READERS[type(item.default)]
+        declare(rule, [option_of(item.name, words[item.name], metavar, read)])
     declare(parser, RUN)
 
 
@@ -70,19 +72,15 @@ def run(args: argparse.Namespace) -> int:
     from sparsefit.whole_file import write_whole
 
     study, _ = stored(args, whole=True)
-    options = {}
-    for option in RULE:
-        name = option.flags.removeprefix("--").replace("-", "_")
-        key = "regimes" if name == "regime" else name
-        if getattr(args, key) is not None:
-            options[key] = getattr(args, key)
+    given = {name: getattr(args, name) for name in names_of(SelectionRule)}
+    options = {name: value for name, value in given.items() if value is not None}
     rule = study.definition.selection.changed(**options)
     flown, refused = study, {}
     if rule.on_board:
         flown, refused = _flown(study, args), study.refusals
     latencies = {}
     if rule.latency_flights and study.kind == "flights":
-        untimed = rule.changed(simplest="listed", max_latency_p99=None, max_memory=None)
+        untimed = rule.changed(max_latency_p99=None, max_memory=None)
         latencies = flown.latency(
             [scored.candidate for scored in select(flown, untimed, latencies={}).passing],
             rule.latency_flights,

@@ -10,7 +10,7 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from sparsefit.cli.options import FORCE, Option, Verbs, declare, number, verb, whole
+from sparsefit.cli.options import FORCE, Option, Verbs, declare, number, option_of, verb, whole
 from sparsefit.cli.terminal import check_output
 from sparsefit.codec import Place
 from sparsefit.errors import InputError, integer, one_line
@@ -43,14 +43,6 @@ def _group(row: Quantity) -> str:
     return "vehicle" if of_vehicle else "flight"
 
 
-def _option(name: str, sentence: str, unit: str = "", *, pair: bool = False) -> Option:
-    words = sentence.replace("`", "").replace("%", "%%").removesuffix(" Needed.")
-    if name in DEFAULTS:
-        words += f" Default {DEFAULTS[name]}."
-    metavar = "X Y" if pair else (unit or "NUMBER").upper()
-    return Option(f"--{name.replace('_', '-')}", words, metavar, number(unit))
-
-
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
     summary = "simulate a flight through cells, in turbulence too, and write it to a file"
@@ -58,11 +50,12 @@ def add(verbs: Verbs) -> None:
     groups = {title: parser.add_argument_group(title) for title in GROUPS}
     for name, row in QUANTITIES.items():
         if name not in OF_STUDIES:
-            words = described(row.sentence, row.unit, row.range)
-            option = _option(name, words, row.unit, pair=len(row.streams) == 2)
+            words = described(row.sentence, row.unit, row.range, DEFAULTS.get(name))
+            metavar = "X Y" if len(row.streams) == 2 else (row.unit or "NUMBER").upper()
+            option = option_of(name, words, metavar, number(row.unit))
             declare(groups[_group(row)], (option,))
     for name, words in sentences(FlightWords).items():
-        declare(groups["flow"], (Option(f"--{name.replace('_', '-')}", words, "NAME"),))
+        declare(groups["flow"], (option_of(name, words, "NAME", str),))
     seed = Option("--seed", "of all that is random; default: 0", "N", whole, {"default": 0})
     output = Option("-o --output", "flight to write, .csv or .parquet", "FILE",
                     extra={"required": True})  # fmt: skip

@@ -22,7 +22,8 @@ from sparsefit.study.clock import Repeats, Timing, median_interval
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
 from sparsefit.study.contenders import Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
-from sparsefit.study.holdout import Holdout, cross_validated, missed, recovered, support
+from sparsefit.study.holdout import cross_validated, missed, recovered, support
+from sparsefit.study.keys import Holdout
 from sparsefit.study.plan import Step
 from sparsefit.study.problem_desk import WEIGHTS, own_fraction
 from sparsefit.study.worker import Answer, Ask

@@ -17,9 +17,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -32,117 +31,26 @@ from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import Recipe, shipped_solvers
 from sparsefit.study.crossing import Setting, points_of, read_grid
-from sparsefit.study.holdout import Holdout
-from sparsefit.study.problem_sources import ProblemSource, read_problems
-from sparsefit.study.schema import (
-    INSIDE,
-    NOT_NEGATIVE,
-    POSITIVE,
-    Range,
-    distinct,
-    key,
-    names_of,
-    read,
-    read_sections,
-    required,
-    taken,
+from sparsefit.study.keys import (
+    Clock,
+    ContenderKeys,
+    Holdout,
+    PathRule,
+    ProblemRules,
+    SolverKeys,
 )
+from sparsefit.study.problem_sources import ProblemSource, read_problems
+from sparsefit.study.schema import distinct, entries, read, taken
 from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
-NO_TOLERANCE = (math.nan,)
 OURS = "sparsefit"
 EXACT = "sparsefit's exact path"
 FIRST_SECONDS = 120.0  # of a first call that may compile, where its code ships
 MOST_CASES = 20_000
 
 
-@dataclass(frozen=True)
-class ProblemRules:
-    """The keys of a study of problems that are numbers."""
-
-    accuracies: tuple[float, ...] = key(
-        "Certified accuracies at which success and time are counted.", (1e-4, 1e-6, 1e-8), INSIDE
-    )
-    tolerances: tuple[float, ...] = key(
-        "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
-    )
-
-
-PROBLEM_SECTIONS = (
-    *names_of(ProblemRules), "path", "clock", "holdout", "problems", "backends", "solvers",
-    "flights", "derivative", "library", "run", "select", "outputs",
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class PathRule:
-    """The penalties of [path]."""
-
-    points: int = key("How many, from alpha_max down.", 30, Range(least=1, most=1000))
-    lowest: float = key("The least of them, as a share of alpha_max.", 1e-3, INSIDE)
-
-    @property
-    def fractions(self) -> tuple[float, ...]:
-        """alpha / alpha_max, descending; one point is the lowest."""
-        if self.points == 1:
-            return (self.lowest,)
-        return tuple(np.geomspace(1.0, self.lowest, self.points).tolist())
-
-
-@dataclass(frozen=True)
-class Clock:
-    """The rules by which a solve is timed: [clock]."""
-
-    limit: float = key("On the wall, after which a solve is killed.", 20.0, POSITIVE, "s")
-    repeats: int = key("Most repeats of a case.", 25, Range(least=1, most=1000))
-    seconds: float = key("Repeats end after so many seconds.", 2.0, NOT_NEGATIVE, "s")
-    precision: float = key(
-        "Or when the 95 % interval of the median is within this share of it.", 0.05, POSITIVE
-    )
-    shift: float = key(
-        "Seconds added in the shifted geometric mean, so that the shortest do not decide it.",
-        0.001, POSITIVE, "s",
-    )  # fmt: skip
-    first: float = key(
-        "Of a first call, which may compile; 0: `limit`, or 120 s of what ships.",
-        0.0, NOT_NEGATIVE, "s",
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ContenderKeys:
-    """The keys of [[backends]] in a study of problems, beside settings."""
-
-    name: str = key(
-        "A back-end. Its settings are keys as well; of lists every combination takes part."
-    )
-    label: str = key(
-        "The objective, as tables call it: entries of one label are compared. Without it, the "
-        "back-end and its settings.", ""
-    )  # fmt: skip
-    solver: tuple[str, ...] = key("Who solves it, a list; without it, the exact path.", ("",))
-    tolerances: tuple[float, ...] = key("In place of the file's own.", (), INSIDE)
-    certified: bool = key(
-        "Of an exact path of sparsefit: charge it for the checks of the data and the certificate "
-        "of every point.", False
-    )  # fmt: skip
-    limit: float | None = key(
-        "In place of the clock's, for solvers that have no chance on the larger problems.",
-        None, POSITIVE, "s",
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class SolverKeys:
-    """The keys of [[solvers]] beside settings."""
-
-    name: str = key("What `solver` calls it.")
-    file: str = key("A Python file with its class, beside the study.", "")
-    command: tuple[str, ...] = key("Or a program and its arguments.", ())
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Contender:
     """A solver of an objective: a back-end with its settings, and who solves it.
 
@@ -157,14 +65,14 @@ class Contender:
     backend: str
     settings: Mapping[str, Setting]
     solver: str
-    tolerances: tuple[float, ...] = NO_TOLERANCE
-    form: str = ""
-    missing: str = ""
-    family: str = OURS
-    certified: bool = False
-    limit: float = 20.0
-    first: float = 20.0
-    recipe: Recipe | None = None
+    tolerances: tuple[float, ...]
+    form: str
+    missing: str
+    family: str
+    certified: bool
+    limit: float
+    first: float
+    recipe: Recipe | None
 
     @property
     def problem_of(self) -> str:
@@ -176,16 +84,6 @@ class Contender:
         """All its settings, of the back-end and of the solver, as canonical JSON."""
         own = {"solver": self.recipe.name, **self.recipe.settings} if self.recipe else {}
         return canonical_json({**self.settings, **own})
-
-    @property
-    def ships(self) -> bool:
-        """Whether its code is of sparsefit or of the packages that sparsefit knows."""
-        recipe = self.recipe
-        if self.backend not in backends.BACKENDS and self.backend not in backends.PUBLIC:
-            return False
-        if recipe is None:
-            return True
-        return not recipe.file and not recipe.command and recipe.name in shipped_solvers()
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,15 +105,8 @@ class ProblemDesign:
     @cached_property
     def cells(self) -> tuple[tuple[int, float], ...]:
         """The number of each contender with each of its tolerances."""
-        numbered_contenders = enumerate(self.contenders)
-        return tuple((number, stop) for number, c in numbered_contenders for stop in c.tolerances)
-
-    @property
-    def at_most(self) -> float:
-        """Seconds [s] that solves take if all of them reach all limits."""
-        running = [c for c in self.contenders if not c.missing]
-        each = sum(len(c.tolerances) * (c.limit + self.clock.seconds) for c in running)
-        return len(self.problems) * each
+        pairs = enumerate(self.contenders)
+        return tuple((number, stop) for number, each in pairs for stop in each.tolerances)
 
     def cell_identities(self) -> list[str]:
         """The settings that determine the rows of each cell: another limit lets others fail."""
@@ -239,13 +130,16 @@ def read_problem_design(
     rules, _ = taken(ProblemRules, document, place)
     for name in ("accuracies", "tolerances"):
         distinct(getattr(rules, name), place.at(name))
-    path = read(PathRule, document, "path", place) if "path" in document else None
+    path, fractions = read(PathRule, document, "path", place), tuple[float, ...]()
+    if "path" in document:
+        fractions = tuple(np.geomspace(1.0, path.lowest, path.points).tolist())
+        fractions = (path.lowest,) if path.points == 1 else fractions
     clock = read(Clock, document, "clock", place)
     problems = read_problems(document, seed, place)
     design = ProblemDesign(
         problems,
         _read_contenders(document, rules.tolerances, clock, place),
-        path.fractions if path else (),
+        fractions,
         tuple(sorted(rules.accuracies, reverse=True)),
         clock,
         read(Holdout, document, "holdout", place) if holds_out else None,
@@ -263,34 +157,66 @@ def _read_contenders(
 ) -> tuple[Contender, ...]:
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
     here, recipes = place.within("backends"), _read_solvers(document, place)
-    contenders: list[Contender] = []
-    for entry in read_sections(required(document, "backends", place), here):
+    listed: list[tuple[ContenderKeys, Mapping[str, Any], str, Recipe | None]] = []
+    for entry in entries(document, "backends", place):
         if "path" in document and "alpha_fraction" in entry:
             raise here.at("alpha_fraction").error("is a single fit's: [path] sets the penalties")
         keys, given = taken(ContenderKeys, entry, here)
-        stops = tuple(sorted(keys.tolerances or tolerances, reverse=True))
-        limit = keys.limit or clock.limit
-        for settings in points_of(read_grid(given, here)):
-            words = [f"{name}={shown(value)}" for name, value in settings.items()]
-            label = keys.label or " ".join([keys.name, *words])
-            contenders += [
-                Contender(
-                    label, keys.name, settings, solver, stops,
-                    certified=keys.certified, limit=limit, recipe=recipe,
-                )
-                for name in keys.solver
-                for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]
-            ]  # fmt: skip
-    contenders = _described(contenders, here)
-    counts = Counter((contender.objective, contender.solver) for contender in contenders)
-    for (objective, solver), count in counts.items():
-        if count > 1:
-            remedy = "one label is one objective, so give each of its settings a label of its own"
-            raise here.error(f'lists "{solver}" twice for "{objective}": {remedy}')
-    return tuple(
-        replace(c, first=clock.first or (max(c.limit, FIRST_SECONDS) if c.ships else c.limit))
-        for c in contenders
+        listed += [
+            (keys, settings, solver, recipe)
+            for settings in points_of(read_grid(given, here))
+            for name in keys.solver
+            for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]
+        ]
+    asked = [(keys.name, settings, recipe) for keys, settings, _, recipe in listed]
+    foreign = [not _ships(name, recipe) and not (recipe and recipe.command)
+               for name, _, recipe in asked]  # fmt: skip
+    ours, theirs = (
+        [each for each, other in zip(asked, foreign, strict=True) if other is half]
+        for half in (False, True)
     )
+    try:
+        about = iter(about_contenders(ours))
+        elsewhere = iter(in_child(about_contenders, theirs, seconds=120.0) if theirs else ())
+    except InputError as error:
+        raise here.error(str(error)) from None
+    contenders: list[Contender] = []
+    for (keys, settings, solver, recipe), other in zip(listed, foreign, strict=True):
+        words = next(elsewhere if other else about)
+        if refused := words.pop("refused"):
+            raise here.error(refused)
+        stops = tuple(sorted(keys.tolerances or tolerances, reverse=True))
+        stops = stops if words.pop("stops") else (math.nan,)
+        if own := words.pop("solver"):
+            solver, recipe = own, None
+        if keys.certified:
+            if words["form"] != EXACT:
+                why = "is for an exact path of sparsefit: no other certifies its answers"
+                raise here.at("certified").error(why)
+            solver += ", certified"
+            words["form"] = f"{EXACT}, the checks of the data and every certificate"
+        points = [f"{name}={shown(value)}" for name, value in settings.items()]
+        label, limit = keys.label or " ".join([keys.name, *points]), keys.limit or clock.limit
+        if any((c.objective, c.solver) == (label, solver) for c in contenders):
+            remedy = "one label is one objective, so give each of its settings a label of its own"
+            raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
+        first = max(limit, FIRST_SECONDS) if _ships(keys.name, recipe) else limit
+        contenders.append(
+            Contender(
+                objective=label, backend=keys.name, settings=settings, solver=solver,
+                tolerances=stops, certified=keys.certified, limit=limit,
+                first=clock.first or first, recipe=recipe, **words,
+            )
+        )  # fmt: skip
+    return tuple(contenders)
+
+
+def _ships(backend: str, recipe: Recipe | None) -> bool:
+    """Whether the code of a contender is of sparsefit or of the packages that sparsefit knows."""
+    if backend not in backends.BACKENDS and backend not in backends.PUBLIC:
+        return False
+    own = recipe and (recipe.file or recipe.command or recipe.name not in shipped_solvers())
+    return not own
 
 
 def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, Recipe | None]]]:
@@ -300,7 +226,7 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, 
     """
     recipes: dict[str, list[tuple[str, Recipe | None]]] = {}
     here, folder = place.within("solvers"), Path(place.file).parent
-    for entry in read_sections(document["solvers"], here) if "solvers" in document else []:
+    for entry in entries(document, "solvers", place) if "solvers" in document else ():
         keys, settings = taken(SolverKeys, entry, here)
         file = str(folder / keys.file) if keys.file else ""
         if keys.command:
@@ -315,44 +241,8 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, 
     return recipes
 
 
-def _described(contenders: Sequence[Contender], place: Place) -> list[Contender]:
-    """The contenders with what their code tells; that of others tells it in another process."""
-    about: dict[int, dict[str, Any]] = {}
-    apart = [not c.ships and not (c.recipe and c.recipe.command) for c in contenders]
-    for foreign in (False, True):
-        numbers = [number for number, own in enumerate(apart) if own is foreign]
-        chosen = [contenders[number] for number in numbers]
-        asked = [(c.backend, dict(c.settings), c.recipe) for c in chosen]
-        try:
-            if foreign and asked:
-                told = in_child(about_contenders, asked, seconds=120.0)
-            else:
-                told = about_contenders(asked)
-        except InputError as error:
-            raise place.error(str(error)) from None
-        about |= dict(zip(numbers, told, strict=True))
-    content = []
-    for number, contender in enumerate(contenders):
-        words = about[number]
-        if refused := words.pop("refused"):
-            raise place.error(refused)
-        stops, own = words.pop("stops"), words.pop("solver")
-        tolerances = contender.tolerances if stops else NO_TOLERANCE
-        described = replace(contender, tolerances=tolerances, **words)
-        if own:
-            described = replace(described, solver=own, recipe=None)
-        if described.certified:
-            if described.form != EXACT:
-                why = "is for an exact path of sparsefit: no other certifies its answers"
-                raise place.at("certified").error(why)
-            form = f"{EXACT}, the checks of the data and every certificate"
-            described = replace(described, solver=f"{described.solver}, certified", form=form)
-        content.append(described)
-    return content
-
-
 def about_contenders(
-    asked: Sequence[tuple[str, dict[str, Any], Recipe | None]],
+    asked: Sequence[tuple[str, Mapping[str, Any], Recipe | None]],
 ) -> list[dict[str, Any]]:
     """Of each (back-end, its settings, recipe): its solver, form, family, whether it stops.
 

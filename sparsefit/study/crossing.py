@@ -17,8 +17,9 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
+from functools import partial
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
@@ -30,25 +31,17 @@ from sparsefit.onboard import Stream
 from sparsefit.regression.backend import PathBackend
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, read_flight_rules
-from sparsefit.study.logged import FILES, Logs, read_logs
+from sparsefit.study.keys import BackendKeys
+from sparsefit.study.logged import Logs, read_logs
 from sparsefit.study.quantities import nearest
-from sparsefit.study.schema import (
-    as_items,
-    distinct,
-    items,
-    key,
-    names_of,
-    read_section,
-    read_sections,
-    required,
-    taken,
-)
+from sparsefit.study.schema import distinct, entries, names_of, required, taken
 from sparsefit.study.toml_file import Section, canonical_json
 from sparsefit.study.worker import in_child
 
 Setting: TypeAlias = float | int | str | bool
 Sections: TypeAlias = Mapping[str, Section]
 Levels: TypeAlias = Mapping[str, object]  # values by dotted key
+Grid: TypeAlias = Mapping[str, Sequence[Any]]
 MOST_POINTS = 100_000  # of the grid of settings of one entry
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "flights": FLIGHT_KEYS,
@@ -78,23 +71,13 @@ class Protocol:
     overrides: Levels
 
 
-@dataclass(frozen=True)
-class BackendKeys:
-    """The keys of [[backends]] beside settings."""
-
-    name: str = key(
-        "The back-end. All its settings, below, may stand beside it, each a value or a list."
-    )
-    label: str = key("What tables call this entry; without it, the name.", "")
-
-
 @dataclass(frozen=True, eq=False)
 class BackendChoice:
     """One [[backends]] entry: every setting with the values that it takes."""
 
     name: str
     label: str
-    grid: Mapping[str, tuple[Setting, ...]]
+    grid: Grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +105,42 @@ class Cell:
 Fitted: TypeAlias = tuple[BackendChoice, Mapping[str, Setting], str, str, bool]
 
 
-def read_setup(sections: Sections, place: Place, parts: dict[object, Any] | None = None) -> Setup:
+def _flights(section: Section, place: Place) -> FlightRules | Logs:
+    return (read_logs if "files" in section else read_flight_rules)(section, place)
+
+
+def _library(section: Section, place: Place) -> Library:
+    only(section, SECTION_KEYS["library"], place)
+    grid, rest = taken(LengthScaleGrid, section, place)
+    # Without a word about the grid, the library keeps the default that is its own.
+    return build(Library, ({"grid": grid} if len(rest) < len(section) else {}) | rest, place)
+
+
+def _readout(section: Section, place: Place) -> Readout:
+    return build(Readout, {"refine": UNNAMED, **section}, place)
+
+
+READERS: dict[str, Callable[[Section, Place], Any]] = {
+    "flights": _flights,
+    "derivative": partial(build, Derivative),
+    "library": _library,
+    "readout": _readout,
+    "online": partial(build, Stream),
+}
+
+
+def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = None) -> Setup:
     """The setup of the sections; `InputError` names the section and the key.
 
     parts: what was read before, by content, so that setups share what is equal.
     """
     parts = {} if parts is None else parts
-    contents = [json.dumps([name, sections.get(name, {})], default=repr) for name in SECTION_KEYS]
-    for name, content in zip(SECTION_KEYS, contents, strict=True):
-        if content not in parts:
-            parts[content] = _read_part(name, sections.get(name, {}), place.within(name))
-    setup = Setup(*(parts[content] for content in contents))
-    combined = tuple(contents[1:])
+    content = [json.dumps([name, sections.get(name, {})], default=repr) for name in READERS]
+    for (name, reader), words in zip(READERS.items(), content, strict=True):
+        if words not in parts:
+            parts[words] = reader(sections.get(name, {}), place.within(name))
+    setup = Setup(*(parts[words] for words in content))
+    combined = "".join(content[1:])
     if combined not in parts:
         # What no estimator can combine is refused here, not in the first case.
         read = {name: getattr(setup, name) for name in ("derivative", "library", "readout")}
@@ -141,19 +148,6 @@ def read_setup(sections: Sections, place: Place, parts: dict[object, Any] | None
             setup.online.refuse_unfit(made(Estimator, read, place))
         parts[combined] = True
     return setup
-
-
-def _read_part(name: str, section: Section, place: Place) -> Any:
-    if name == "flights":
-        return (read_logs if FILES in section else read_flight_rules)(section, place)
-    if name == "library":
-        only(section, SECTION_KEYS[name], place)
-        grid, rest = taken(LengthScaleGrid, section, place)
-        # Without a word about the grid, the library keeps the default that is its own.
-        return build(Library, ({"grid": grid} if len(rest) < len(section) else {}) | rest, place)
-    if name == "readout":
-        return build(Readout, {"refine": UNNAMED, **section}, place)
-    return build(Derivative if name == "derivative" else Stream, section, place)
 
 
 def override(sections: Sections, overrides: Levels) -> Sections:
@@ -165,10 +159,15 @@ def override(sections: Sections, overrides: Levels) -> Sections:
     return changed
 
 
+def points_of(grid: Grid) -> list[dict[str, Any]]:
+    """Every point of a grid, the last key fastest; one empty point where it has no keys."""
+    return [dict(zip(grid, chosen, strict=True)) for chosen in itertools.product(*grid.values())]
+
+
 def cross(
     sections: Sections,
-    protocols: tuple[Protocol, ...],
-    sweep: Mapping[str, tuple[object, ...]],
+    protocols: Sequence[Protocol],
+    sweep: Grid,
     fitted: Sequence[Fitted],
     place: Place,
 ) -> Iterator[Cell]:
@@ -177,68 +176,56 @@ def cross(
     Raises:
         InputError: with the protocol and levels that resolve to something that cannot be.
     """
-    parts: dict[object, Any] = {}
-    index = itertools.count()
+    parts, index = dict[str, Any](), itertools.count()
     for protocol, levels in itertools.product(protocols, points_of(sweep)):
         words = [f'protocol "{protocol.name}"'] if protocol.overrides else []
         words += [f"{name} = {shown(value)}" for name, value in levels.items()]
         within = Place(place.file, via=f"with {', '.join(words)}: " if words else "")
         setup = read_setup(override(sections, {**protocol.overrides, **levels}), within, parts)
-        for choice, settings, canonical, own, walks in fitted:
-            identity = canonical_json([protocol.name, levels, choice.name, settings])
+        for own in fitted:
+            identity = canonical_json([protocol.name, levels, own[0].name, own[1]])
             digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
-            here = (next(index), digest, protocol.name, levels, setup)
-            yield Cell(*here, choice, settings, canonical, own, walks)
+            yield Cell(next(index), digest, protocol.name, levels, setup, *own)
 
 
-def points_of(grid: Mapping[str, tuple[Any, ...]]) -> list[dict[str, Any]]:
-    """Every point of a grid, the last key fastest; one empty point where it has no keys."""
-    return [dict(zip(grid, chosen, strict=True)) for chosen in itertools.product(*grid.values())]
-
-
-def read_protocols(
-    document: Section, sweep: Mapping[str, tuple[object, ...]], place: Place
-) -> tuple[Protocol, ...]:
+def read_protocols(document: Section, sweep: Grid, place: Place) -> tuple[Protocol, ...]:
     """The [[protocols]], or one called "default" without overrides."""
     if "protocols" not in document:
         return (Protocol("default", {}),)
     here, protocols = place.within("protocols"), []
-    for entry in read_sections(document["protocols"], here):
+    for entry in entries(document, "protocols", place):
         name = text(required(entry, "name", here), here.at("name"))
-        changes = {dotted: value for dotted, value in entry.items() if dotted != "name"}
-        protocols.append(Protocol(name, _dotted(changes, here)))
-        for dotted in set(sweep) & set(protocols[-1].overrides):
+        overrides = _dotted({key: entry[key] for key in entry if key != "name"}, here)
+        protocols.append(Protocol(name, overrides))
+        for dotted in set(sweep) & set(overrides):
             raise here.at(dotted).error(f'is in [sweep] too: "{name}" cannot also set it')
     distinct([protocol.name for protocol in protocols], here.at("name"))
     return tuple(protocols)
 
 
-def read_sweep(section: object, place: Place) -> dict[str, tuple[object, ...]]:
+def read_sweep(section: Section, place: Place) -> dict[str, tuple[object, ...]]:
     """The levels by dotted key, sorted by key: their order in the file means nothing."""
-    dotted, sweep = _dotted(read_section(section, place), place), {}
-    for name in sorted(dotted):
-        sweep[name] = tuple(items(dotted[name], place.at(name)))
-        distinct(sweep[name], place.at(name))
-    return sweep
+    levels = sorted(_dotted(section, place).items())
+    return {name: tuple(distinct(value, place.at(name))) for name, value in levels}
 
 
-def _dotted(entries: Section, place: Place) -> dict[str, object]:
+def _dotted(section: Section, place: Place) -> dict[str, object]:
     """Flat dotted keys: `"library.target"` in quotes and bare `library.target` are equal."""
     flat: dict[str, object] = {}
-    for name, value in entries.items():
+    for name, value in section.items():
         if isinstance(value, dict) and name in SECTION_KEYS:
             flat |= {f"{name}.{inner}": item for inner, item in value.items()}
         else:
             flat[name] = value
     for dotted in flat:
-        section, _, name = dotted.partition(".")
-        here, keys = place.at(dotted), SECTION_KEYS.get(section)
+        first, _, name = dotted.partition(".")
+        here, keys = place.at(dotted), SECTION_KEYS.get(first)
         if keys is None:
-            near = suggestion(section, SECTION_KEYS)
-            raise here.error(f'unknown: the part before the dot, "{section}"' + near)
+            near = suggestion(first, SECTION_KEYS)
+            raise here.error(f'unknown: the part before the dot, "{first}"{near}')
         if name not in keys:
-            near = nearest(name, keys) if section == "flights" else suggestion(name, keys)
-            raise here.error(f'unknown: [{section}] has no "{name}"' + near)
+            near = nearest(name, keys) if first == "flights" else suggestion(name, keys)
+            raise here.error(f'unknown: [{first}] has no "{name}"{near}')
     return flat
 
 
@@ -246,7 +233,7 @@ def read_backends(document: Section, place: Place) -> list[Fitted]:
     """Every point of the [[backends]] of flights, accepted by the back-end itself."""
     fitted: list[Fitted] = []
     here, seen = place.within("backends"), set[str]()
-    for entry in read_sections(required(document, "backends", place), here):
+    for entry in entries(document, "backends", place):
         keys, rest = taken(BackendKeys, entry, here)
         choice = BackendChoice(keys.name, keys.label or keys.name, read_grid(rest, here))
         points = points_of(choice.grid)
@@ -268,17 +255,16 @@ def read_backends(document: Section, place: Place) -> list[Fitted]:
 
 def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]:
     """The values that each setting takes, by name: a number, a text, true/false, or a list."""
-    grid: dict[str, tuple[Setting, ...]] = {}
+    grid: dict[str, tuple[Any, ...]] = {}
     for name, value in sorted(settings.items()):
-        values: list[Setting] = []
-        for item in as_items(value, place.at(name)):
+        here = place.at(name)
+        grid[name] = tuple(distinct(value, here))
+        for item in grid[name]:
             if not isinstance(item, bool | str | int | float):
                 words = "must be a number, text or true/false, or a list of them"
-                raise place.at(name).error(f"{words}, not {shown(item)}")
+                raise here.error(f"{words}, not {shown(item)}")
             if not isinstance(item, bool | str):
-                number(item, place.at(name))
-            values.append(item)
-        grid[name] = tuple(values)
+                number(item, here)
     if (size := math.prod(map(len, grid.values()))) > MOST_POINTS:
         raise place.error(f"has a grid of {size} settings: {MOST_POINTS} are the most")
     return grid

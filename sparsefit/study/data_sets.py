@@ -22,25 +22,30 @@ import hashlib
 import itertools
 import math
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, MissingExtra, one_of
-from sparsefit.study.schema import POSITIVE, Range, key
+from sparsefit.study.keys import MOST_VALUES, DataSet, Generator
 
-MOST_VALUES = 128_000_000  # numbers in a problem: a gigabyte
 MOST_BYTES = 1 << 30  # of a file
 LABEL_BYTES = 256  # of a label of a group
 CLASSIFIED = ("digits", "iris", "wine", "breast-cancer")
-DATASETS = ("diabetes", "diabetes-quadratic", "linnerud", *CLASSIFIED)
+DATASETS: tuple[str, ...] = get_args(DataSet)
+GENERATORS: dict[str, dict[str, Any]] = {  # the settings that a name stands for
+    "correlated": {"correlation": 0.8},
+    "wide": {"samples": 100, "columns": 2000},
+    "sparse": {"samples": 1000, "columns": 500, "density": 0.01},
+    "grouped": {"columns": 200, "group": 5},
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,54 +70,25 @@ class Data:
         return replace(self, theta=theta, target=target)
 
 
-def read_data(path: Path) -> Data:
-    """The arrays of a NumPy file, whose shapes are read from their headers before they are.
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """Refuse a file by whatever its reader raises: a damaged one raises anything."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        words = str(error) or type(error).__name__
+        raise InputError(f"{path}: not readable: {words[:200]}") from None
+
+
+def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
+    """The shapes of the arrays in a NumPy file, read from their headers.
 
     Raises:
         InputError: if there is no such file, it is too large, holds no theta or target, or
             anything but plain numbers.
     """
-    check_file(path)
-    shapes: dict[str, tuple[int, ...]] = {}
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for member in archive.namelist():
-                with archive.open(member) as stream:
-                    first = np.lib.format.read_magic(stream) == (1, 0)
-                    headers = np.lib.format
-                    read = headers.read_array_header_1_0 if first else headers.read_array_header_2_0
-                    shape, _, kind = read(stream)
-                name = member.removesuffix(".npy")
-                real = kind.kind in "fiub" or name == "groups"
-                if kind.hasobject or kind.itemsize > LABEL_BYTES or not real:
-                    raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
-                shapes[name] = shape
-        if missing := {"theta", "target"} - set(shapes):
-            there = ", ".join(sorted(shapes)[:8]) or "nothing"
-            raise InputError(f"{path}: holds no {min(missing)}, but {there}: it needs both")
-        if (values := sum(map(math.prod, shapes.values()))) > MOST_VALUES:
-            words = f"holds {values} numbers, more than {MOST_VALUES}"
-            raise InputError(f"{path}: {words}: take fewer samples or columns")
-        with np.load(path, allow_pickle=False) as arrays:
-            content = {name: np.asarray(arrays[name]) for name in arrays}
-    except InputError:
-        raise
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, MemoryError) as error:
-        words = str(error) or type(error).__name__
-        raise InputError(f"{path}: not readable: {words[:200]}") from None
-    truth = content["truth"].astype(bool) if "truth" in content else None
-    return Data(content["theta"], content["target"], content.get("groups"), truth)
-
-
-def digest_of(path: Path) -> str:
-    """sha256 of a data file. Raises InputError unless it is a regular file of a size to read."""
-    check_file(path)
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def check_file(path: Path) -> None:
-    """Raise `InputError` unless there is a regular data file of a size to read."""
     if path.suffix != ".npz":
         words = "np.savez(FILE, theta=theta, target=target) writes one"
         raise InputError(f"{path}: must be a file of kind .npz: {words}")
@@ -121,6 +97,40 @@ def check_file(path: Path) -> None:
         raise InputError(f"{path}: {cause}: it is sought beside the study file")
     if path.stat().st_size > MOST_BYTES:
         raise InputError(f"{path}: larger than {MOST_BYTES >> 20} MB: take fewer samples")
+    shapes, numpy = dict[str, tuple[int, ...]](), np.lib.format
+    with _refused(path), zipfile.ZipFile(path) as archive:
+        for member in archive.namelist():
+            with archive.open(member) as stream:
+                first = numpy.read_magic(stream) == (1, 0)
+                read = numpy.read_array_header_1_0 if first else numpy.read_array_header_2_0
+                shape, _, kind = read(stream)
+            name = member.removesuffix(".npy")
+            real = kind.kind in "fiub" or name == "groups"
+            if kind.hasobject or kind.itemsize > LABEL_BYTES or not real:
+                raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
+            shapes[name] = shape
+    if missing := {"theta", "target"} - set(shapes):
+        there = ", ".join(sorted(shapes)[:8]) or "nothing"
+        raise InputError(f"{path}: holds no {min(missing)}, but {there}: it needs both")
+    if (values := sum(map(math.prod, shapes.values()))) > MOST_VALUES:
+        words = f"holds {values} numbers, more than {MOST_VALUES}"
+        raise InputError(f"{path}: {words}: take fewer samples or columns")
+    return shapes
+
+
+def read_data(path: Path) -> Data:
+    """The arrays of a NumPy file. Raises InputError as `shapes_of`."""
+    shapes_of(path)
+    with _refused(path), np.load(path, allow_pickle=False) as arrays:
+        content = {name: np.asarray(arrays[name]) for name in arrays}
+    truth = content["truth"].astype(bool) if "truth" in content else None
+    return Data(content["theta"], content["target"], content.get("groups"), truth)
+
+
+def digest_of(path: Path) -> str:
+    """sha256 of a data file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def read_public(name: str) -> Data:
@@ -158,106 +168,53 @@ def read_public(name: str) -> Data:
     return Data(columns / columns.std(axis=0), target, np.array(groups))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Generator:
-    """A problem that is drawn: y = Z w + noise, w of ones with random signs on its support.
-
-    Neighbouring columns correlate by rho to the power of their distance.
-    """
-
-    samples: int = key("Rows of a drawn problem.", 200, Range(least=2))
-    columns: int = key("Columns of a drawn problem.", 100, Range(least=1))
-    targets: int = key("Targets of a drawn problem.", 1, Range(least=1))
-    support: int = key("Columns, or groups, that the target is made of.", 5, Range(least=1))
-    snr: float = key("Squares of the signal over those of the noise.", 5.0, POSITIVE)
-    correlation: float = key("Of neighbouring columns.", 0.0, Range(least=0.0, below=1.0))
-    group: int = key("Columns of a group.", 1, Range(least=1))
-    density: float = key("Share of the entries that are not zero.", 1.0, Range(above=0.0, most=1.0))
-
-    def __post_init__(self) -> None:
-        if self.samples * self.columns * self.density > MOST_VALUES:
-            raise InputError(f"samples times columns must be at most {MOST_VALUES}")
-        if self.support * self.group > self.columns:
-            raise InputError("support must lie within the columns")
-        if self.correlation and self.density < 1.0:
-            raise InputError("correlation is of dense columns: drop it, or density")
-
-    def draw(self, random: np.random.Generator) -> Data:
-        """Arrays with their truth, equal for equal random numbers."""
-        m, k, rho = self.samples, self.columns, self.correlation
-        theta = self._sparse(random) if self.density < 1.0 else random.standard_normal((m, k))
-        if rho:  # a first-order autoregression along the columns
-            for j in range(1, k):
-                theta[:, j] = rho * theta[:, j - 1] + math.sqrt(1.0 - rho**2) * theta[:, j]
-        groups = np.arange(k) // self.group
-        chosen = random.choice(k // self.group, self.support, replace=False)
-        truth = np.isin(groups, chosen)
-        weights = random.choice([-1.0, 1.0], (k, self.targets)) * truth[:, None]
-        clean = theta @ weights
-        level = np.sqrt((clean**2).mean(axis=0) / self.snr)
-        target = clean + level * random.standard_normal(clean.shape)
-        return Data(theta, target, groups, truth)
-
-    def _sparse(self, random: np.random.Generator) -> Any:
-        """Columns (m, k) with normal entries at random rows, at least one in each, as CSC."""
-        m, k = self.samples, self.columns
-        counts = np.maximum(random.binomial(m, self.density, k), 1)
+def drawn(rules: Generator, random: np.random.Generator) -> Data:
+    """A problem y = Z w + noise with its truth, equal for equal random numbers."""
+    m, k, rho = rules.samples, rules.columns, rules.correlation
+    theta: Any
+    if rules.density < 1.0:  # normal entries at random rows, at least one in each column
+        counts = np.maximum(random.binomial(m, rules.density, k), 1)
         rows = [np.sort(random.choice(m, count, replace=False)) for count in counts]
         ends = np.concatenate([[0], np.cumsum(counts)])
         values = random.standard_normal(ends[-1])
         indices = (np.concatenate(rows).astype(np.int32), ends.astype(np.int32))
-        return csc_array((values, *indices), shape=(m, k))
-
-
-GENERATORS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    {
-        "correlated": {"correlation": 0.8},
-        "wide": {"samples": 100, "columns": 2000},
-        "sparse": {"samples": 1000, "columns": 500, "density": 0.01},
-        "grouped": {"columns": 200, "group": 5},
-    }
-)
-"""Name -> the settings of `Generator` that it stands for, where a study gives no others."""
-
-AS_IT_IS = "as it is"
-ALTERATIONS: Mapping[str, str] = MappingProxyType(
-    {
-        AS_IT_IS: "",
-        "duplicated columns": "a fifth replaced by copies, negatives and multiples of others",
-        "nearly dependent columns": "a quarter differs from others in the ninth digit",
-        "dead columns": "an eighth is zero in all samples but one",
-        "units 1e-12 to 1e12": "tiny and huge units, of each column and of the target",
-        "fewer samples than columns": "at most half as many samples as columns",
-        "a target of zeros": "the last one",
-        "a target of noise": "in place of the target",
-    }
-)
-"""Name, as a study file has it -> what it does to theta and target: degenerate problems."""
+        theta = csc_array((values, *indices), shape=(m, k))
+    else:
+        theta = random.standard_normal((m, k))
+    if rho:  # a first-order autoregression along the columns
+        for j in range(1, k):
+            theta[:, j] = rho * theta[:, j - 1] + math.sqrt(1.0 - rho**2) * theta[:, j]
+    groups = np.arange(k) // rules.group
+    truth = np.isin(groups, random.choice(k // rules.group, rules.support, replace=False))
+    weights = random.choice([-1.0, 1.0], (k, rules.targets)) * truth[:, None]
+    clean = theta @ weights
+    level = np.sqrt((clean**2).mean(axis=0) / rules.snr)
+    return Data(theta, clean + level * random.standard_normal(clean.shape), groups, truth)
 
 
 def altered(name: str, theta: Any, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Theta (m, k) and target (m, n) of a degenerate problem, by a name of `ALTERATIONS`."""
+    """Theta (m, k) and target (m, n) of a degenerate problem, by a name of `keys.Alteration`."""
     theta = np.array(theta if isinstance(theta, np.ndarray) else theta.toarray())
     target, k = target.copy(), theta.shape[1]
     match name:
-        case "duplicated columns":
+        case "duplicated columns":  # a fifth: copies, negatives and multiples of others
             count = max(1, k // 5)
             to, source = draw.choice(k, count, replace=False), draw.integers(0, k, count)
             theta[:, to] = theta[:, source] * draw.choice([-2.0, -1.0, 1.0, 3.0], count)
-        case "nearly dependent columns":
+        case "nearly dependent columns":  # a quarter differs from others in the ninth digit
             to, source = draw.choice(k, k // 4, replace=False), draw.integers(0, k, k // 4)
             theta[:, to] = theta[:, source] + 1e-9 * draw.standard_normal((len(theta), k // 4))
-        case "dead columns":
+        case "dead columns":  # an eighth is zero in all samples but one
             for column in draw.choice(k, k // 8, replace=False):
                 theta[:, column] = 0.0
                 theta[draw.integers(len(theta)), column] = 1.0
         case "units 1e-12 to 1e12":
             theta *= 10.0 ** draw.uniform(-12, 12, k)
             target *= 10.0 ** draw.uniform(-12, 12)
-        case "fewer samples than columns":
+        case "fewer samples than columns":  # at most half as many
             rows = draw.integers(4, max(5, min(theta.shape) // 2))
             theta, target = theta[:rows], target[:rows]
-        case "a target of zeros":
+        case "a target of zeros":  # the last one
             target[:, -1] = 0.0
         case "a target of noise":
             target = draw.standard_normal(target.shape)

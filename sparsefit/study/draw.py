@@ -223,7 +223,7 @@ class DrawRule:
     @classmethod
     def of(cls, value: object, quantity: Quantity, place: Place) -> DrawRule:
         """The rule of a TOML value, with every number in the range of the quantity."""
-        rule, listed = "constant", [value]
+        rule, listed = "constant", items([value], place)
         if isinstance(value, dict):
             only(value, RULES, place)
             if len(value) != 1:

@@ -51,8 +51,7 @@ def headline(selection: Selection) -> str:
     if reading and len(alike) > 1:
         every = {part for own, part in parts.values() if own == reading}
         which = f"any of {len(alike)} back-ends" if set(alike) == every else listed(alike)
-        simple = "fastest" if selection.rule.simplest == "fastest" else "simplest"
-        return f"Use {reading}; {which} will do, {backend} is the {simple}."
+        return f"Use {reading}; {which} will do, {backend} is the simplest."
     return f"Use {f'{reading} with {backend}' if reading else selection.chosen.title}."
 
 
@@ -62,7 +61,7 @@ def lines(selection: Selection, check: Check | None = None) -> list[str]:
     kind, regimes, count = selection.kind, criterion.regimes, list(selection.units.values())
     limits = [
         f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
-        for name, limit in asdict(rule.limits).items() if limit is not None
+        for name in LIMITS if (limit := getattr(rule, name)) is not None
     ]  # fmt: skip
     keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
     where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""

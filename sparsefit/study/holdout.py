@@ -9,32 +9,11 @@ chosen on the others.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError
 from sparsefit.study.columns import Value
-from sparsefit.study.schema import Range, key
-
-
-@dataclass(frozen=True)
-class Holdout:
-    """The rules by which predictions are judged: [holdout]."""
-
-    folds: int = key(
-        "Blocks of neighbouring rows that are held out in turn; 0: none.", 5, Range(most=100)
-    )
-    support: float = key(
-        "Share of the largest weight (of columns of unit rms) above which a column is in use.",
-        1e-3, Range(least=0.0, below=1.0),
-    )  # fmt: skip
-    stability: bool = key("Whether two halves of the rows are compared too.", True)
-
-    def __post_init__(self) -> None:
-        if self.folds == 1:
-            raise InputError("folds must be 0 or 2 to 100, not 1")
 
 
 def missed(theta: Array, target: Array, weights: Array) -> Array:

@@ -1,47 +1,359 @@
-"""The keys of a study file by section, in words: for `sparsefit study keys` and the pages."""
+"""The keys of a study file: a record for each section, and their words for help and pages.
+
+Flights are drawn by the quantities of `quantities`; how they are read are records of the estimator.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias, get_args
 
-from sparsefit.errors import one_of
-from sparsefit.model import LengthScaleGrid, Library, Readout
-from sparsefit.onboard import Stream
-from sparsefit.rows import Derivative
-from sparsefit.study import contenders, crossing, data_sets, definition, holdout, logged
-from sparsefit.study.problem_sources import ProblemKeys
+from sparsefit.codec import Place
+from sparsefit.errors import InputError, one_of
 from sparsefit.study.quantities import QUANTITIES, FlightWords
-from sparsefit.study.schema import described, sentences
+from sparsefit.study.schema import (
+    INSIDE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SHARE,
+    Range,
+    described,
+    key,
+    record_of,
+    sentences,
+)
 
-RECORDS: dict[str, tuple[type[Any], ...]] = {
-    "study": (definition.Heading,),
-    "flights": (FlightWords,),
-    "logs": (logged.LogRules,),
-    "derivative": (Derivative,),
-    "library": (LengthScaleGrid, Library),
-    "readout": (Readout,),
-    "online": (Stream,),
-    "backends": (crossing.BackendKeys,),
-    "split": (definition.Split,),
-    "run": (definition.RunRule,),
-    "select": (definition.SelectionRule, definition.Limits),
-    "outputs": (definition.Outputs,),
-    "outputs.reference": (definition.Reference,),
-    "solvers": (contenders.ProblemRules,),
-    "problems": (ProblemKeys, data_sets.Generator),
-    "contenders": (contenders.ContenderKeys,),
-    "own-solvers": (contenders.SolverKeys,),
-    "path": (contenders.PathRule,),
-    "clock": (contenders.Clock,),
-    "holdout": (holdout.Holdout,),
-}
+READING = ("flights", "derivative", "library", "readout", "online")  # what a protocol may change
+FLIGHT_SECTIONS = (*READING, "backends", "protocols", "sweep", "split", "run", "select", "outputs")
+PROBLEM_SECTIONS = ("path", "clock", "holdout", "problems", "backends", "solvers", "flights",
+                    "derivative", "library", "run", "select", "outputs")  # fmt: skip
+MOST_VALUES = 128_000_000  # numbers in a regression problem: a gigabyte
+COUNTED = Range(least=0, most=100_000)
+Three: TypeAlias = tuple[float, float, float]
+DataSet: TypeAlias = Literal["diabetes", "diabetes-quadratic", "linnerud", "digits", "iris", "wine",
+                             "breast-cancer"]  # fmt: skip
+Alteration: TypeAlias = Literal[
+    "as it is", "duplicated columns", "nearly dependent columns", "dead columns",
+    "units 1e-12 to 1e12", "fewer samples than columns", "a target of zeros", "a target of noise",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The keys at the top of a study file."""
+
+    name: str = key("Of the study and its folder of results: 1 to 64 of `a-z`, `0-9`, `_`, `-`.")
+    question: str = key("The one question that the study asks, as its page shows it.")
+    kind: Literal["flights", "problems", "solvers"] = key(
+        "Flights, regression problems, or times to a certificate alone.", "flights"
+    )
+    seed: int = key("Whole number that decides everything random.", 0)
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.name):
+            raise InputError("name must be 1 to 64 of a-z, 0-9, _ and -: it is the results folder")
+
+
+@dataclass(frozen=True)
+class Split:
+    """The flights of a choice, and those that score it: [split]."""
+
+    validate: int = key("Flights that choose.", range=POSITIVE)
+    evaluate: int = key("Flights that score the choice once: all others.", range=POSITIVE)
+
+
+@dataclass(frozen=True)
+class RunRule:
+    """The rules by which cases are run: [run]."""
+
+    case_timeout: float = key("Seconds that one case may take.", 60.0, POSITIVE, "s")
+    tolerance: float = key("A certificate above it is `inaccurate`.", 1e-8, INSIDE)
+    prediction_flights: int = key(
+        "Along how many other flights each estimated flow is predicted.", 0
+    )
+    max_memory: float | None = key(
+        "Most that a worker may take; without it, its share of the machine's.",
+        None, Range(least=256.0), "MB",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Printed numbers that a study is held against; each triple is U0, L_w and tau_w."""
+
+    name: str = key("What the tables call it.")
+    flights: int | None = key("How many flights it is of.", None)
+    estimate: Three | None = key("U0, L_w, tau_w of one flight [m/s, m, s].", None)
+    deviation: Three | None = key("Mean signed errors [m/s, m, s].", None)
+    signed_error: Three | None = key("Mean signed errors.", None, unit="%")
+    note: str = key("Printed under the table.", "")
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """The tables and figures asked for, empty: those that fit the cases: [outputs]."""
+
+    tables: tuple[object, ...] = key(
+        "Names of shipped tables, or tables of your own (`[[outputs.tables]]`).", ()
+    )
+    figures: tuple[object, ...] = key(
+        "Names of shipped figures, or your own (`[[outputs.figures]]`).", ()
+    )
+    headline: str = key(
+        "The measure of the study's one sentence, with or without a summary: "
+        '`"median timescale-error"`.', ""
+    )  # fmt: skip
+    reference: Reference | None = key("Printed numbers that the study is held against.", None)
+    script: str = key(
+        "A Python file beside the study, whose functions take the frame of cases and return "
+        "tables and figures.", ""
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        if not all(isinstance(entry, str | Mapping) for entry in self.tables + self.figures):
+            raise InputError("tables and figures are names in quotes, or tables of options")
+
+    @property
+    def names(self) -> dict[str, list[str]]:
+        """The names of tables and figures."""
+        return {
+            kind: [str(e.get("name", e.get("measure")) if isinstance(e, Mapping) else e)
+                   for e in getattr(self, kind)]
+            for kind in ("tables", "figures")
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelectionRule:
+    """The rule by which a candidate is chosen, constraints with it: [select]."""
+
+    criterion: str = key(
+        "A summary and a measure: the least (or most) of it is best.", "mean timescale-error"
+    )
+    over: str = key(
+        '`"average"` over the regimes, the `"worst"` of them, or the name of one.', "average"
+    )
+    margin: float = key(
+        "How much worse than the best, as a share, a candidate listed before it may be.",
+        0.05, Range(least=0.0, below=1.0),
+    )  # fmt: skip
+    on_board: bool = key(
+        "Whether candidates are scored as they would fly: sample by sample, as exported.", False
+    )
+    latency_flights: int = key("Flights over which latency and memory are measured.", 100, COUNTED)
+    check: int = key(
+        "On how many flights of fresh seeds, in every world, the choice is checked.", 0, COUNTED
+    )
+    max_failure: float | None = key(
+        "Most flights without an estimate, as a share, in every regime.", None, SHARE
+    )
+    max_silent_misses: float | None = key(
+        "Most flights called `ok` and off by more than 5 %, or without a flow, as a share.",
+        None, SHARE,
+    )  # fmt: skip
+    max_error: float | None = key(
+        "Most that the 95th percentile of the largest error of U0, L_w and tau_w may be.",
+        None, POSITIVE, "%",
+    )  # fmt: skip
+    max_latency_p99: float | None = key(
+        "Most that the 99th percentile of the latency may be.", None, POSITIVE, "s"
+    )
+    max_memory: float | None = key("Most memory of one estimate.", None, POSITIVE, "MB")
+
+    def __post_init__(self) -> None:
+        for name in ("max_latency_p99", "max_memory"):
+            if getattr(self, name) and not self.latency_flights:
+                raise InputError(f"latency_flights = 0 measures nothing, and {name} needs it")
+
+    @property
+    def measure(self) -> tuple[str, str]:
+        """The summary and the measure that the criterion names; an empty summary is the mean."""
+        summary, _, name = self.criterion.rpartition(" ")
+        return summary, name
+
+    def changed(self, **options: object) -> SelectionRule:
+        """The rule with these options in place of its own; InputError names one that is wrong."""
+        return record_of(type(self), {**vars(self), **options}, Place("select", "select"))
+
+
+@dataclass(frozen=True)
+class BackendKeys:
+    """The keys of [[backends]] beside settings."""
+
+    name: str = key(
+        "The back-end. All its settings, below, may stand beside it, each a value or a list."
+    )
+    label: str = key("What tables call this entry; without it, the name.", "")
+
+
+@dataclass(frozen=True)
+class LogRules:
+    """The keys of [flights] where the flights come from files."""
+
+    files: tuple[str, ...] = key(
+        "Names or patterns of flight files, relative to the study file, in order of name."
+    )
+    windows: tuple[float, ...] = key(
+        "One length or several: each log in pieces of so long; without it, the whole of it.",
+        (), POSITIVE, "s",
+    )  # fmt: skip
+    response_time: float | None = key("tau, in place of what files say.", None, POSITIVE, "s")
+    drag: float | None = key("c, in place of what the files say.", None, POSITIVE, "1/m")
+    thrust_acceleration: tuple[float, float] | None = key(
+        "In place of what the files say.", None, unit="m/s²"
+    )
+
+
+@dataclass(frozen=True)
+class ProblemRules:
+    """The keys of a study of problems that are numbers."""
+
+    accuracies: tuple[float, ...] = key(
+        "Certified accuracies at which success and time are counted.", (1e-4, 1e-6, 1e-8), INSIDE
+    )
+    tolerances: tuple[float, ...] = key(
+        "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
+    )
+
+
+@dataclass(frozen=True)
+class ProblemKeys:
+    """The keys of [[problems]]; those of a generator stand beside them."""
+
+    name: str = key("What tables call it.", "")
+    flights: Mapping[str, object] = key("Keys of `[flights]`: a problem for each flight.", dict)
+    file: str = key("An `.npz` file with `theta`, `target` and, if any, `groups`.", "")
+    dataset: DataSet | None = key(
+        f"A data set that ships inside scikit-learn: {', '.join(get_args(DataSet))}.", None
+    )
+    generator: Literal["correlated", "wide", "sparse", "grouped"] | None = key(
+        "A problem that is drawn, y = Z w + noise, with its true support: correlated, wide, "
+        "sparse, grouped.", None
+    )  # fmt: skip
+    test: str = key("A file of rows that are held out, in the form of `file`.", "")
+    library: Mapping[str, object] = key("Of a flight, in place of the file's own keys.", dict)
+    sweep: Mapping[str, object] = key("Of a flight or generator: a series of problems.", dict)
+    alter: tuple[Alteration, ...] = key(
+        f"Makes it degenerate: {', '.join(get_args(Alteration))}; or a list.", ("as it is",)
+    )
+    count: int = key("How many problems are drawn.", 1, Range(least=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generator:
+    """The keys of a problem that is drawn: y = Z w + noise, w of random signs on its support.
+
+    Neighbouring columns correlate by rho to the power of their distance.
+    """
+
+    samples: int = key("Rows of a drawn problem.", 200, Range(least=2))
+    columns: int = key("Columns of a drawn problem.", 100, Range(least=1))
+    targets: int = key("Targets of a drawn problem.", 1, Range(least=1))
+    support: int = key("Columns, or groups, that the target is made of.", 5, Range(least=1))
+    snr: float = key("Squares of the signal over those of the noise.", 5.0, POSITIVE)
+    correlation: float = key("Of neighbouring columns.", 0.0, Range(least=0.0, below=1.0))
+    group: int = key("Columns of a group.", 1, Range(least=1))
+    density: float = key("Share of the entries that are not zero.", 1.0, Range(above=0.0, most=1.0))
+
+    def __post_init__(self) -> None:
+        if self.samples * self.columns * self.density > MOST_VALUES:
+            raise InputError(f"samples times columns must be at most {MOST_VALUES}")
+        if self.support * self.group > self.columns:
+            raise InputError("support must lie within the columns")
+        if self.correlation and self.density < 1.0:
+            raise InputError("correlation is of dense columns: drop it, or density")
+
+
+@dataclass(frozen=True)
+class ContenderKeys:
+    """The keys of [[backends]] in a study of problems, beside settings."""
+
+    name: str = key(
+        "A back-end. Its settings are keys as well; of lists every combination takes part."
+    )
+    label: str = key(
+        "The objective, as tables call it: entries of one label are compared. Without it, the "
+        "back-end and its settings.", ""
+    )  # fmt: skip
+    solver: tuple[str, ...] = key("Who solves it, a list; without it, the exact path.", ("",))
+    tolerances: tuple[float, ...] = key("In place of the file's own.", (), INSIDE)
+    certified: bool = key(
+        "Of an exact path of sparsefit: charge it for the checks of the data and the certificate "
+        "of every point.", False
+    )  # fmt: skip
+    limit: float | None = key(
+        "In place of the clock's, for solvers that have no chance on the larger problems.",
+        None, POSITIVE, "s",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SolverKeys:
+    """The keys of [[solvers]] beside settings."""
+
+    name: str = key("What `solver` calls it.")
+    file: str = key("A Python file with its class, beside the study.", "")
+    command: tuple[str, ...] = key("Or a program and its arguments.", ())
+
+
+@dataclass(frozen=True)
+class PathRule:
+    """The penalties of [path]."""
+
+    points: int = key("How many, from alpha_max down.", 30, Range(least=1, most=1000))
+    lowest: float = key("The least of them, as a share of alpha_max.", 1e-3, INSIDE)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The rules by which a solve is timed: [clock]."""
+
+    limit: float = key("On the wall, after which a solve is killed.", 20.0, POSITIVE, "s")
+    repeats: int = key("Most repeats of a case.", 25, Range(least=1, most=1000))
+    seconds: float = key("Repeats end after so many seconds.", 2.0, NOT_NEGATIVE, "s")
+    precision: float = key(
+        "Or when the 95 % interval of the median is within this share of it.", 0.05, POSITIVE
+    )
+    shift: float = key(
+        "Seconds added in the shifted geometric mean, so that the shortest do not decide it.",
+        0.001, POSITIVE, "s",
+    )  # fmt: skip
+    first: float = key(
+        "Of a first call, which may compile; 0: `limit`, or 120 s of what ships.",
+        0.0, NOT_NEGATIVE, "s",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Holdout:
+    """The rules by which predictions are judged: [holdout]."""
+
+    folds: int = key(
+        "Blocks of neighbouring rows that are held out in turn; 0: none.", 5, Range(most=100)
+    )
+    support: float = key(
+        "Share of the largest weight (of columns of unit rms) above which a column is in use.",
+        1e-3, Range(least=0.0, below=1.0),
+    )  # fmt: skip
+    stability: bool = key("Whether two halves of the rows are compared too.", True)
+
+    def __post_init__(self) -> None:
+        if self.folds == 1:
+            raise InputError("folds must be 0 or 2 to 100, not 1")
+
+
+OWN: dict[str, tuple[type[Any], ...]] = {
+    "study": (Heading,), "flights": (FlightWords,), "logs": (LogRules,), "derivative": (),
+    "library": (), "readout": (), "online": (), "backends": (BackendKeys,), "split": (Split,),
+    "run": (RunRule,), "select": (SelectionRule,), "outputs": (Outputs,),
+    "outputs.reference": (Reference,), "solvers": (ProblemRules,),
+    "problems": (ProblemKeys, Generator), "contenders": (ContenderKeys,),
+    "own-solvers": (SolverKeys,), "path": (PathRule,), "clock": (Clock,), "holdout": (Holdout,),
+}  # fmt: skip
 """Section -> the records that its keys are fields of; two in a problem study are "contenders"
 ([[backends]]) and "own-solvers" ([[solvers]]); "solvers" and "study" are the top of a file."""
-OTHERS = {
-    "study": definition.FLIGHT_SECTIONS,
-    "solvers": contenders.PROBLEM_SECTIONS,
-    "flights": ("count",),
-}
 
 
 def keys_of(section: str) -> dict[str, str]:
@@ -50,11 +362,16 @@ def keys_of(section: str) -> dict[str, str]:
     Raises:
         InputError: with the nearest name, if there is no such section.
     """
-    one_of("section", section, RECORDS)
-    words: dict[str, str] = {}
-    for kind in RECORDS[section]:
-        words |= sentences(kind)
-    words = {name: words.get(name, "") for name in (*words, *OTHERS.get(section, ()))}
+    one_of("section", section, OWN)
+    words = {name: text for kind in OWN[section] for name, text in sentences(kind).items()}
+    more: dict[str, tuple[str, ...]] = {
+        "study": FLIGHT_SECTIONS, "solvers": PROBLEM_SECTIONS, "flights": ("count",)
+    }  # fmt: skip
+    if section in READING[1:]:
+        from sparsefit.study.crossing import SECTION_KEYS
+
+        more |= SECTION_KEYS  # of records of the estimator
+    words = {name: words.get(name, "") for name in (*words, *more.get(section, ()))}
     if section == "flights":
         words |= {name: described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()}
-    return {name: text for name, text in words.items() if name not in ("limits", "grid")}
+    return words

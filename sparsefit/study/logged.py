@@ -27,30 +27,12 @@ from sparsefit.flight.record import MINIMUM_SAMPLES
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import read_flight
 from sparsefit.logs.files import LARGEST
-from sparsefit.study.schema import POSITIVE, key, record_of
+from sparsefit.study.keys import LogRules
+from sparsefit.study.schema import record_of
 from sparsefit.study.toml_file import Section
 from sparsefit.whole_file import read_whole
 
-FILES = "files"
 MOST = 1000  # files
-
-
-@dataclass(frozen=True)
-class LogRules:
-    """The keys of [flights] where the flights come from files."""
-
-    files: tuple[str, ...] = key(
-        "Names or patterns of flight files, relative to the study file, in order of name."
-    )
-    windows: tuple[float, ...] = key(
-        "One length or several: each log in pieces of so long; without it, the whole of it.",
-        (), POSITIVE, "s",
-    )  # fmt: skip
-    response_time: float | None = key("tau, in place of what files say.", None, POSITIVE, "s")
-    drag: float | None = key("c, in place of what the files say.", None, POSITIVE, "1/m")
-    thrust_acceleration: tuple[float, float] | None = key(
-        "In place of what the files say.", None, unit="m/s²"
-    )
 
 
 @dataclass(frozen=True)
@@ -115,7 +97,7 @@ def _parsed(file: str, digest: str, vehicle: PointMassVehicle | None) -> Flight:
 
 def read_logs(section: Section, place: Place) -> Logs:
     """The logs of [flights]; `InputError` names the key, the file or the line of a fault."""
-    rules, here = record_of(LogRules, section, place), place.at(FILES)
+    rules, here = record_of(LogRules, section, place), place.at("files")
     folder, files = Path(place.file).parent, []
     for pattern in rules.files:
         named = [folder / pattern]

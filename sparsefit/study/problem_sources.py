@@ -10,78 +10,39 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sparsefit import Estimator, RegressionProblem
 from sparsefit.codec import Place, integer, only, shown
-from sparsefit.errors import InputError, suggestion
-from sparsefit.study.crossing import (
-    Setup,
-    override,
-    points_of,
-    read_grid,
-    read_setup,
-    read_sweep,
-)
+from sparsefit.errors import InputError
+from sparsefit.study.crossing import Setup, override, points_of, read_grid, read_setup, read_sweep
 from sparsefit.study.data_sets import (
-    ALTERATIONS,
-    AS_IT_IS,
-    DATASETS,
     GENERATORS,
     Data,
-    Generator,
     altered,
     digest_of,
+    drawn,
     read_data,
     read_public,
+    shapes_of,
 )
 from sparsefit.study.draw import SIMULATION, stream
-from sparsefit.study.schema import (
-    Range,
-    as_items,
-    distinct,
-    key,
-    names_of,
-    read_section,
-    read_sections,
-    record_of,
-    required,
-    taken,
-)
+from sparsefit.study.keys import Generator, ProblemKeys
+from sparsefit.study.schema import distinct, entries, names_of, record_of, section_of, taken
 from sparsefit.study.toml_file import Section, canonical_json
 
 SECTIONS = ("flights", "derivative", "library")
-KEYS: dict[str, tuple[str, ...]] = {  # beside the kind itself, `name` and `alter`
+BESIDE: dict[str, tuple[str, ...]] = {  # a kind -> the keys beside it, `name` and `alter`
     "flights": ("library", "sweep"),
     "file": ("test",),
     "dataset": (),
     "generator": ("sweep", "count", *names_of(Generator)),
 }
-NAMES = {"dataset": DATASETS, "generator": tuple(GENERATORS), "alter": tuple(ALTERATIONS)}
+AS_IT_IS = "as it is"
 ALTERED = 300  # the child of a flight's stream that an alteration is drawn from
 GENERATED = 301  # the child that a generated problem is drawn from
-
-
-@dataclass(frozen=True)
-class ProblemKeys:
-    """The keys of [[problems]]; those of a generator stand beside them."""
-
-    name: str = key("What tables call it.", "")
-    flights: Mapping[str, object] = key("Keys of `[flights]`: a problem for each flight.", dict)
-    file: str = key("An `.npz` file with `theta`, `target` and, if any, `groups`.", "")
-    dataset: str = key(f"A data set that ships inside scikit-learn: {', '.join(DATASETS)}.", "")
-    generator: str = key(
-        "A problem that is drawn, y = Z w + noise, with its true support: "
-        f"{', '.join(GENERATORS)}.", ""
-    )  # fmt: skip
-    test: str = key("A file of rows that are held out, in the form of `file`.", "")
-    library: Mapping[str, object] = key("Of a flight, in place of the file's own keys.", dict)
-    sweep: Mapping[str, object] = key("Of a flight or generator: a series of problems.", dict)
-    alter: tuple[str, ...] = key(
-        f"Makes it degenerate: {', '.join(ALTERATIONS)}; or a list.", (AS_IT_IS,)
-    )
-    count: int = key("How many problems are drawn.", 1, Range(least=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +73,6 @@ class ProblemSource:
             if self.test is not None:
                 rows = read_data(self.test).real()
                 data = replace(data, test=(rows.theta, rows.target))
-                if rows.theta.shape[1:] != data.theta.shape[1:]:
-                    raise InputError("the test rows have other columns than the file")
             if self.alter != AS_IT_IS:
                 random = np.random.default_rng(stream(self.seed, 0, ALTERED))
                 data = Data(*altered(self.alter, data.theta, data.target, random), data.groups)
@@ -125,11 +84,10 @@ class ProblemSource:
 
 def read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSource, ...]:
     """The problems of a study file; one `InputError` names every entry that is none."""
-    here = place.within("problems")
-    base = {name: read_section(document.get(name, {}), place.at(name)) for name in SECTIONS}
+    here, faults = place.within("problems"), list[str]()
+    base = {name: section_of(document, name, place) for name in SECTIONS}
     sources: list[ProblemSource] = []
-    faults: list[str] = []
-    for number, entry in enumerate(read_sections(required(document, "problems", place), here)):
+    for number, entry in enumerate(entries(document, "problems", place)):
         try:
             sources += _read_entry(entry, base, seed + number, here)
         except InputError as error:
@@ -143,70 +101,58 @@ def read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSo
 def _read_entry(
     entry: Section, base: Mapping[str, Section], seed: int, place: Place
 ) -> Iterator[ProblemSource]:
-    given = [kind for kind in KEYS if kind in entry]
-    if len(given) != 1:
-        have = " and ".join(given) or "none"
-        raise place.error(f"each needs exactly one of {', '.join(KEYS)}, one has {have}")
-    kind = given[0]
-    only(entry, (kind, "name", "alter", *KEYS[kind]), place)
-    keys, own = taken(ProblemKeys, entry, place)
-    for field, valid in NAMES.items():
-        for name in as_items(entry[field], place.at(field)) if field in entry else ():
-            if name not in valid:
-                near = suggestion(str(name), valid)
-                raise place.at(field).error(f"has unknown value {shown(name)}{near}")
-    test = Path(place.file).parent / keys.test if keys.test else None
-    beside = [None, digest_of(test) if test else None]  # None: where a key was that went
-    series = str(entry.get("name", entry[kind]))
-    for name, level, make, identity in _made(kind, keys, own, base, seed, place):
+    """The problems of one entry, each as it is or altered."""
+    kinds = [kind for kind in BESIDE if kind in entry]
+    if len(kinds) != 1:
+        have = " and ".join(kinds) or "none"
+        raise place.error(f"each needs exactly one of {', '.join(BESIDE)}, one has {have}")
+    (kind,) = kinds
+    only(entry, (kind, "name", "alter", *BESIDE[kind]), place)
+    keys, rest = taken(ProblemKeys, entry, place)
+    folder, test, beside = Path(place.file).parent, None, None
+    made: Iterator[tuple[str, str, Callable[[], Data], Any]]
+    if kind == "file":
+        path = folder / keys.file
+        shape = shapes_of(path)["theta"]
+        if keys.test:
+            test = folder / keys.test
+            if shapes_of(test)["theta"][1:] != shape[1:]:
+                raise place.at("test").error(f'"{keys.test}": its rows have other columns')
+            beside = digest_of(test)
+        made = iter([(keys.name or path.stem, "", partial(read_data, path), digest_of(path))])
+    elif kind == "dataset":
+        word = str(keys.dataset)
+        made = iter([(keys.name or word, "", partial(read_public, word), word)])
+    elif kind == "flights":
+        made = _flights(keys, base, seed, place)
+    else:
+        made = _drawn(keys, rest, seed, place)
+    for name, level, make, identity in made:
         for alter in keys.alter:
             several = f"{name}, {alter}" if alter != AS_IT_IS else name
-            whole = canonical_json([identity, *beside, alter, seed])
+            whole = canonical_json([identity, None, beside, alter, seed])
+            series = str(entry.get("name", entry[kind]))
             yield ProblemSource(several, make, level, whole, alter, seed, series, test)
 
 
-def _made(
-    kind: str, keys: ProblemKeys, own: Section, base: Mapping[str, Section], seed: int, place: Place
-) -> Iterator[tuple[str, str, Callable[[], Data], object]]:
-    """(name, swept level, what makes its arrays, what determines them) of each of an entry."""
-    word = str(getattr(keys, kind))
-    if kind == "file":
-        path = Path(place.file).parent / word
-        yield keys.name or path.stem, "", partial(read_data, path), digest_of(path)
-        return
-    if kind == "dataset":
-        yield keys.name or word, "", partial(read_public, word), word
-        return
-    count, here = keys.count, place.within("problems.sweep")
-    sweep: Mapping[str, tuple[object, ...]]
-    before: list[object]
-    after: list[object]
+def _flights(
+    keys: ProblemKeys, base: Mapping[str, Section], seed: int, place: Place
+) -> Iterator[tuple[str, str, Callable[[], Data], Any]]:
+    """Name, swept level, what makes the arrays and what determines them, of each flight."""
+    if not keys.name:
+        raise place.at("name").error("missing: a flight has no other name")
     sections = {name: {**base[name], **getattr(keys, name, {})} for name in SECTIONS}
-    if kind == "flights":
-        if not keys.name:
-            raise place.at("name").error("missing: a flight has no other name")
-        count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
-        sweep = read_sweep(keys.sweep, here)
-    else:
-        only(keys.sweep, names_of(Generator), here)
-        sweep = read_grid(keys.sweep, here)
-    for level in points_of(sweep):
-        words = "".join(f", {key} {shown(value)}" for key, value in level.items())
-        make: Callable[[int], Data]
-        if kind == "flights":
-            changed = override({**sections, "readout": {}}, level)
-            setup = read_setup(changed, Place(place.file, via=f'problem "{keys.name}": '))
-            make, before, after = partial(_flown, setup, count, seed), [changed], [count, seed]
-        else:
-            rules = record_of(Generator, {**GENERATORS[word], **own, **level}, place)
-            make, before, after = partial(_drawn, rules, seed), [word, asdict(rules)], []
+    count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
+    for level in points_of(read_sweep(keys.sweep, place.within("problems.sweep"))):
+        changed = override({**sections, "readout": {}}, level)
+        setup = read_setup(changed, Place(place.file, via=f'problem "{keys.name}": '))
         for number in range(count):
-            name = f"{keys.name or word}{f' {number + 1}' * (count > 1)}{words}"
-            determined = [*before, number, *after]
-            yield name, words.removeprefix(", "), partial(make, number), determined
+            name, words = _named(keys.name, number, count, level)
+            make = partial(_flown, setup, number, count, seed)
+            yield name, words, make, [changed, number, count, seed]
 
 
-def _flown(setup: Setup, count: int, seed: int, flight: int) -> Data:
+def _flown(setup: Setup, flight: int, count: int, seed: int) -> Data:
     """The arrays of the problem of a flight, as a study of flights would pose it."""
     fleet = setup.flights.draw(flight, count, seed).fleet(stream(seed, flight, SIMULATION))
     blind = [replace(flown, flow=None) for flown in fleet]
@@ -214,5 +160,26 @@ def _flown(setup: Setup, count: int, seed: int, flight: int) -> Data:
     return Data(problem.theta, problem.target, problem.groups, samples=problem.sample_count)
 
 
-def _drawn(rules: Generator, seed: int, number: int) -> Data:
-    return rules.draw(np.random.default_rng(stream(seed, number, GENERATED)))
+def _drawn(
+    keys: ProblemKeys, own: Section, seed: int, place: Place
+) -> Iterator[tuple[str, str, Callable[[], Data], Any]]:
+    """Name, swept level, what makes the arrays and what determines them, of each that is drawn."""
+    here, kind = place.within("problems.sweep"), str(keys.generator)
+    only(keys.sweep, names_of(Generator), here)
+    for level in points_of(read_grid(keys.sweep, here)):
+        rules = record_of(Generator, {**GENERATORS[kind], **own, **level}, place)
+        for number in range(keys.count):
+            name, words = _named(keys.name or kind, number, keys.count, level)
+            make = partial(_made, rules, seed, number)
+            yield name, words, make, [kind, asdict(rules), number]
+
+
+def _made(rules: Generator, seed: int, number: int) -> Data:
+    return drawn(rules, np.random.default_rng(stream(seed, number, GENERATED)))
+
+
+def _named(name: str, number: int, count: int, level: Mapping[str, Any]) -> tuple[str, str]:
+    """The name of one of ``count`` problems at a swept level, and the words of the level."""
+    words = ", ".join(f"{key} {shown(value)}" for key, value in level.items())
+    numbered = f"{name} {number + 1}" if count > 1 else name
+    return ", ".join(filter(None, (numbered, words))), words

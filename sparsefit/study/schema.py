@@ -33,9 +33,9 @@ class Range:
     @property
     def words(self) -> str:
         """`above 0 and at most 1`; empty for all numbers."""
-        ends = (("above", self.above), ("at least", self.least), ("below", self.below),
-                ("at most", self.most))  # fmt: skip
-        return " and ".join(f"{word} {end:g}" for word, end in ends if math.isfinite(end))
+        ends = {"above": self.above, "at least": self.least, "below": self.below,
+                "at most": self.most}  # fmt: skip
+        return " and ".join(f"{word} {end:g}" for word, end in ends.items() if math.isfinite(end))
 
     def check(self, value: float, place: Place, unit: str = "") -> None:
         """Refuse a number outside."""
@@ -82,18 +82,17 @@ def record_of(kind: type[Record], values: Section, place: Place) -> Record:
     """The record with these values; `InputError` names the key that does not fit."""
     record = build(kind, values, place)
     for item in fields(cast(Any, kind)):
-        value = values.get(item.name)
+        value, here = values.get(item.name), place.at(item.name)
         if "range" in item.metadata and value is not None:
-            for each in value if isinstance(value, list | tuple) else [value]:
+            for each in items(value, here):
                 if isinstance(each, int | float):
-                    item.metadata["range"].check(each, place.at(item.name), item.metadata["unit"])
+                    item.metadata["range"].check(each, here, item.metadata["unit"])
     return record
 
 
 def read(kind: type[Record], document: Section, name: str, place: Place) -> Record:
     """The record of the section ``name``, of defaults where there is none."""
-    values = read_section(document.get(name, {}), place.at(name))
-    return record_of(kind, values, place.within(name))
+    return record_of(kind, section_of(document, name, place), place.within(name))
 
 
 def taken(kind: type[Record], values: Section, place: Place) -> tuple[Record, dict[str, object]]:
@@ -103,6 +102,23 @@ def taken(kind: type[Record], values: Section, place: Place) -> tuple[Record, di
     return record_of(kind, own, place), rest
 
 
+def section_of(document: Section, name: str, place: Place) -> Section:
+    """The table ``[name]``, empty where there is none."""
+    value = document.get(name, {})
+    if not isinstance(value, Mapping):
+        raise place.at(name).error(f"must be a table, not {shown(value)}")
+    return cast(Section, value)
+
+
+def entries(document: Section, name: str, place: Place) -> list[Section]:
+    """The tables ``[[name]]``, of which there must be one."""
+    here = place.within(name)
+    value = required(document, name, place)
+    if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
+        raise here.error(f"must be written as [[{name}]]")
+    return cast(list[Section], items(value, here))
+
+
 def required(section: Section, name: str, place: Place) -> object:
     """The value of a key that a study must give."""
     if name not in section:
@@ -110,41 +126,21 @@ def required(section: Section, name: str, place: Place) -> object:
     return section[name]
 
 
-def items(value: object, place: Place) -> list[object]:
-    """A list of at least one item."""
-    if not isinstance(value, list):
-        raise place.error(f"must be a list, not {shown(value)}")
+def items(value: object, place: Place) -> Sequence[object]:
+    """The items of a list, of which there must be one; a value that is no list is one item."""
+    if not isinstance(value, list | tuple):
+        return [value]
     if not value:
         raise place.error("must not be an empty list: remove the key or give values")
     return value
 
 
-def as_items(value: object, place: Place) -> list[object]:
-    """A list of distinct items; a value that is no list is a list of one."""
-    listed = items(value, place) if isinstance(value, list) else [value]
-    distinct(listed, place)
-    return listed
-
-
-def distinct(values: Sequence[object], place: Place) -> None:
-    """Refuse a list that holds a value twice."""
-    seen: set[str] = set()
-    for value in values:
-        canonical = canonical_json(value)
+def distinct(value: object, place: Place) -> Sequence[object]:
+    """`items`, none of them twice."""
+    listed, seen = items(value, place), set[str]()
+    for item in listed:
+        canonical = canonical_json(item)
         if canonical in seen:
-            raise place.error(f"lists {shown(value)} twice")
+            raise place.error(f"lists {shown(item)} twice")
         seen.add(canonical)
-
-
-def read_section(value: object, place: Place) -> Section:
-    """A TOML table."""
-    if not isinstance(value, Mapping):
-        raise place.error(f"must be a table, not {shown(value)}")
-    return cast(Section, value)
-
-
-def read_sections(value: object, place: Place) -> list[Section]:
-    """An array of tables, `[[name]]`, of at least one."""
-    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-        raise place.error(f"must be written as [[{place.key or place.section}]]")
-    return cast(list[Section], items(value, place))
+    return listed

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, one_of, suggestion, told_with
+from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures, resampling
 from sparsefit.study.entries import factor_words
 from sparsefit.study.measures import Measure, factors
@@ -193,7 +193,7 @@ class Trials:
             values[name] = [[timed.get(each, {}).get(column, math.inf)] for each in self.candidates]
         every: list[list[Breach]] = [[] for _ in self.candidates]
         for name, levels in values.items():
-            limit = getattr(rule.limits, name)
+            limit = getattr(rule, name)
             for broken, own in zip(every, levels, strict=True):
                 worst = max(own, key=lambda value: (not math.isnan(value), value))
                 others = {breach.constraint for breach in broken} - {*TIMED}
@@ -322,7 +322,7 @@ def select(
     """
     rule = rule or study.definition.selection
     rule = rule.changed(**options) if options else rule
-    cases, refused = _comparable(study, study.cases, rule), dict(refusals or {})
+    cases, refused = _comparable(study, study.cases), dict(refusals or {})
     cases = cases[~cases["title"].isin(refused)]
     criterion = _criterion(rule, cases)
     if not np.isfinite(criterion.measure.read(cases)).any():
@@ -332,11 +332,9 @@ def select(
         )
     latencies = study.latencies if latencies is None else latencies
     timed = {name: asdict(seen) for name, seen in latencies.items()}
-    if rule.simplest == "fastest" and not timed:
-        raise InputError('simplest = "fastest" needs measured latencies: allow them to be measured')
     splits = [name for name in SPLITS if (cases["split"] == name).any()] or ["all"]
     candidates = [str(name) for name in dict.fromkeys(cases["candidate"])]
-    every = [Trials(cases[cases["split"] == name], candidates, criterion, rule.seed + place)
+    every = [Trials(cases[cases["split"] == name], candidates, criterion, place)
              for place, name in enumerate(splits)]  # fmt: skip
     first, last = every[0], every[-1]
     breaches, broken = (each.breaches(rule, timed) for each in (first, last))
@@ -346,8 +344,6 @@ def select(
     limit = best + (rule.margin + ROUNDING) * abs(best) + criterion.measure.least
     within = [at for at in passing if first.loss[at] <= limit]
     chosen = min(within, default=None)
-    if within and rule.simplest == "fastest":
-        chosen = min(within, key=lambda at: timed.get(candidates[at], {}).get("median", math.inf))
     probabilities = resampling.best_probabilities(first.drawn[passing]).tolist() if passing else []
     shares = dict(zip(passing, probabilities, strict=True))
     titles = dict(zip(cases["candidate"], cases["title"], strict=True))
@@ -381,7 +377,7 @@ def check_rule(study: Any) -> None:
     """
     rule = study.definition.selection
     if rule != type(rule)():
-        _criterion(rule, _comparable(study, study.plan(), rule))
+        _criterion(rule, _comparable(study, study.plan()))
 
 
 def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
@@ -393,7 +389,7 @@ def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
         return Criterion(measures.measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
 
 
-def _comparable(study: Any, cases: pd.DataFrame, rule: Any) -> pd.DataFrame:
+def _comparable(study: Any, cases: pd.DataFrame) -> pd.DataFrame:
     """Return the cases with their regime, after a check that they can be compared."""
     if len(cases) < len(study.plan()) or cases.empty:
         raise InputError(
@@ -406,20 +402,12 @@ def _comparable(study: Any, cases: pd.DataFrame, rule: Any) -> pd.DataFrame:
             f"{study.name} has no flights to {' or to '.join(sorted(missing))}: "
             "give the study file a [split] with validate and evaluate"
         )
-    named = [name for name in ("world", *factors(cases)) if name in cases]
-    varying = [name for name in named if cases[name].nunique() > 1]
-    for name in rule.regimes:
-        if name not in varying:
-            words = f'regimes: no "{name}" varies in {study.name}'
-            raise InputError(f"{words}{suggestion(name, varying)}")
-    return _with_regimes(cases, rule)
+    return _with_regimes(cases)
 
 
-def _with_regimes(cases: pd.DataFrame, rule: Any) -> pd.DataFrame:
-    """Return the cases with their regime: the levels of a rule's factors, or their condition."""
-    names = [name for name in rule.regimes if name in cases] or ["condition"]
-    first, *others = (cases[name].astype(str) for name in names)
-    regime = first.str.cat(others, sep=", ")
+def _with_regimes(cases: pd.DataFrame) -> pd.DataFrame:
+    """Return the cases with their regime: their condition."""
+    regime = cases["condition"].astype(str)
     return cases.assign(regime=regime.where(regime != "", "everywhere"))
 
 
@@ -427,9 +415,9 @@ def check(selection: Selection, cases: pd.DataFrame) -> Check:
     """Return what the cases of fresh units, of the same candidates, say of the choice."""
     if selection.chosen is None:
         raise ValueError("nothing was chosen")
-    placed = _with_regimes(cases, selection.rule)
+    placed = _with_regimes(cases)
     candidates = [str(name) for name in dict.fromkeys(placed["candidate"])]
-    trials = Trials(placed, candidates, selection.criterion, selection.rule.seed)
+    trials = Trials(placed, candidates, selection.criterion, 0)
     own = candidates.index(selection.chosen.candidate)
     best = min(range(len(candidates)), key=lambda at: (float(trials.loss[at]), at != own))
     title = placed["title"].to_numpy()[trials.at[0] == best][0]

@@ -24,10 +24,11 @@ from sparsefit.codec import shown
 from sparsefit.errors import InputError
 from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
-from sparsefit.study.definition import Definition, Outputs, definition_of, read_definition
+from sparsefit.study.definition import Definition, definition_of, read_definition
 from sparsefit.study.export import cases_table, read_cases, read_weights
 from sparsefit.study.flight_desk import CaseAgain, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
+from sparsefit.study.keys import Outputs
 from sparsefit.study.latency import Latency, measure, read_latencies, write_latencies
 from sparsefit.study.merging import MergedPart, merge
 from sparsefit.study.plan import Batch, Experiment, Plan
@@ -176,12 +177,8 @@ class Study:
         return {c.solver: c.missing for c in contenders if c.missing}
 
     def counts(self) -> dict[str, Any]:
-        """The size of the study, JSON-ready, and how long its solvers may take at most."""
-        counts, design = self.planned.counts(), self.definition.design
-        if isinstance(design, ProblemDesign):
-            minutes = f"{design.at_most / 60.0:.0f} min, all limits reached"
-            counts |= {"missing": self.missing, "at_most": minutes}
-        return counts
+        """The size of the study, JSON-ready."""
+        return self.planned.counts() | ({"missing": self.missing} if self.missing else {})
 
     def merge(self, parts: Sequence[str | Path]) -> list[MergedPart]:
         """Take the rows of other results folders of this study; see `merging.merge`."""

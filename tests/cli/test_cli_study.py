@@ -311,7 +311,6 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
         (("--check", "1000000000"), '"check" must be at least 0 and at most 100000'),
         (("--max-failure", "2%"), '"2%" is not a number'),
         (("--max-memory", "90"), "max_memory needs it"),
-        (("--regime", "world"), 'no "world" varies'),
         (("-o", "small.toml"), "small.toml exists; add --force"),
         (("-o", "nowhere/e.json"), "cannot write nowhere/e.json"),
         (("-o", "small.toml/e.json"), "cannot write small.toml/e.json"),

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pandas as pd
 
-from sparsefit.study.definition import Limits, Outputs, SelectionRule
+from sparsefit.study.keys import Outputs, SelectionRule
 
 TRUE = {"mean_velocity": 10.0, "length_scale": 5.0, "timescale": 0.5}
 
@@ -58,5 +58,4 @@ def study(cases, *, tmp="", rule=None, **outputs):
 
 
 def select_rule(**rule):
-    limits = {name: rule.pop(name) for name in list(rule) if name.startswith("max_")}
-    return SelectionRule(**{"margin": 0.0, "limits": Limits(**limits), **rule})
+    return SelectionRule(**{"margin": 0.0, **rule})

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from sparsefit.errors import InputError
 from sparsefit.plot.style import COLOURS, encoded, labels
 from sparsefit.study import figures, measures, page, panels, solver_times, tables
-from sparsefit.study.definition import Reference
+from sparsefit.study.keys import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
 from tests.study.frames import case, frame, solve, study
 

@@ -14,9 +14,10 @@ import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.errors import InputError
 from sparsefit.study.clock import Repeats, Timing, median_interval
-from sparsefit.study.data_sets import DATASETS, Generator, read_data, read_public
+from sparsefit.study.data_sets import DATASETS, drawn, read_data, read_public
 from sparsefit.study.export import read_cases
 from sparsefit.study.holdout import cross_validated, recovered
+from sparsefit.study.keys import Generator
 from sparsefit.study.problem_desk import Rows, signs_of
 from sparsefit.study.worker import cpu_seconds
 from tests.study import solver_deeds
@@ -271,8 +272,8 @@ def test_every_data_set_is_a_problem(name):
 @pytest.mark.parametrize("settings", [{"correlation": 0.8}, {"density": 0.05}, {"group": 5}])
 def test_generators_know_their_truth(settings):
     rules = Generator(samples=400, columns=50, support=3, snr=9.0, **settings)
-    data = rules.draw(np.random.default_rng(1))
-    again = rules.draw(np.random.default_rng(1))
+    data = drawn(rules, np.random.default_rng(1))
+    again = drawn(rules, np.random.default_rng(1))
     theta = data.theta.toarray() if "density" in settings else data.theta
     assert abs(data.theta - again.theta).max() == 0.0
     assert data.truth.sum() == 3 * settings.get("group", 1)
@@ -292,6 +293,9 @@ def test_files_are_bounded_before_they_are_unpacked(tmp_path):
     np.savez(tmp_path / "y.npz", theta=np.zeros((3, 2)), y=np.zeros(3))
     with pytest.raises(InputError, match="holds no target, but theta, y"):
         read_data(tmp_path / "y.npz")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "y.npz").read_bytes()[:-40])
+    entry = '[[problems]]\nfile = "cut.npz"\n[[backends]]\nname = "lasso"\n'
+    assert "cut.npz: not readable" in refusal(tmp_path, HEAD + entry)
     np.savez(tmp_path / "z.npz", theta=np.array(["a"]), target=np.zeros(1))
     with pytest.raises(InputError, match="theta holds <U1, and only numbers"):
         read_data(tmp_path / "z.npz")
