@@ -31,7 +31,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from sparsefit import backends
 from sparsefit.cli import parser
-from sparsefit.study import figures, keys, measures, tables
+from sparsefit.study import definition, figures, keys, measures, tables
 from sparsefit.study.resampling import SUMMARY_NAMES
 
 DOCS = Path(__file__).parents[1]
@@ -65,7 +65,7 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
 
 def meanings(section: str) -> dict[str, str]:
     """The words of each key of a section: of its records, or of study-keys.toml."""
-    words = keys.keys_of(section) if section in keys.OWN else {}
+    words = definition.keys_of(section) if section in keys.OWN else {}
     return words | tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8")).get(section, {})
 
 

@@ -178,7 +178,8 @@ def plan(args: argparse.Namespace) -> int:
 
 def keys(args: argparse.Namespace) -> int:
     """List the keys of one section, or of all."""
-    from sparsefit.study.keys import OWN, keys_of
+    from sparsefit.study.definition import keys_of
+    from sparsefit.study.keys import OWN
 
     record = {name: keys_of(name) for name in ([args.section] if args.section else OWN)}
     parts = ("\n".join([f"[{name}]", *rows_of(words.items())]) for name, words in record.items())

@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sparsefit.codec import Place, integer, only
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, one_of
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
 from sparsefit.study.crossing import (
+    SECTION_KEYS,
     Cell,
     Protocol,
     cross,
@@ -29,6 +30,7 @@ from sparsefit.study.crossing import (
 )
 from sparsefit.study.keys import (
     FLIGHT_SECTIONS,
+    OWN,
     PROBLEM_SECTIONS,
     READING,
     Heading,
@@ -39,7 +41,17 @@ from sparsefit.study.keys import (
     Split,
 )
 from sparsefit.study.logged import read_logs
-from sparsefit.study.schema import distinct, names_of, read, required, section_of, taken
+from sparsefit.study.quantities import QUANTITIES
+from sparsefit.study.schema import (
+    described,
+    distinct,
+    names_of,
+    read,
+    required,
+    section_of,
+    sentences,
+    taken,
+)
 from sparsefit.study.toml_file import Section, canonical_json, read_toml
 
 MOST_CASES = 2_000_000
@@ -196,3 +208,20 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
              for name, section in sections.items() for key, value in section.items()}  # fmt: skip
     cells = tuple(cross(sections, protocols, sweep, fitted, place))
     return FlightDesign(count, given, protocols, sweep, cells, validate), content
+
+
+def keys_of(section: str) -> dict[str, str]:
+    """Key of a section of `keys.OWN` -> its sentence, unit, range and default; empty words where
+    its record, of the estimator, has none.
+
+    Raises:
+        InputError: with the nearest name, if there is no such section.
+    """
+    one_of("section", section, OWN)
+    words = {name: text for kind in OWN[section] for name, text in sentences(kind).items()}
+    more = {**SECTION_KEYS, "study": FLIGHT_SECTIONS, "solvers": PROBLEM_SECTIONS}
+    words = {name: words.get(name, "") for name in (*words, *more.get(section, ()))}
+    if section == "flights":
+        rows = {name: described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()}
+        words |= {"count": "", **rows}
+    return words

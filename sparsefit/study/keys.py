@@ -11,18 +11,16 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
 from sparsefit.codec import Place
-from sparsefit.errors import InputError, one_of
-from sparsefit.study.quantities import QUANTITIES, FlightWords
+from sparsefit.errors import InputError
+from sparsefit.study.quantities import FlightWords
 from sparsefit.study.schema import (
     INSIDE,
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
     Range,
-    described,
     key,
     record_of,
-    sentences,
 )
 
 READING = ("flights", "derivative", "library", "readout", "online")  # what a protocol may change
@@ -354,24 +352,3 @@ OWN: dict[str, tuple[type[Any], ...]] = {
 }  # fmt: skip
 """Section -> the records that its keys are fields of; two in a problem study are "contenders"
 ([[backends]]) and "own-solvers" ([[solvers]]); "solvers" and "study" are the top of a file."""
-
-
-def keys_of(section: str) -> dict[str, str]:
-    """Key -> its sentence, unit, range and default; empty words where its record has none.
-
-    Raises:
-        InputError: with the nearest name, if there is no such section.
-    """
-    one_of("section", section, OWN)
-    words = {name: text for kind in OWN[section] for name, text in sentences(kind).items()}
-    more: dict[str, tuple[str, ...]] = {
-        "study": FLIGHT_SECTIONS, "solvers": PROBLEM_SECTIONS, "flights": ("count",)
-    }  # fmt: skip
-    if section in READING[1:]:
-        from sparsefit.study.crossing import SECTION_KEYS
-
-        more |= SECTION_KEYS  # of records of the estimator
-    words = {name: words.get(name, "") for name in (*words, *more.get(section, ()))}
-    if section == "flights":
-        words |= {name: described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()}
-    return words
