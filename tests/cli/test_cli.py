@@ -306,7 +306,7 @@ def test_estimate_refuses_an_option(capsys, flight, options, words):
 def test_files_that_are_no_text_are_refused(capsys, flight):
     with open("binary.csv", "wb") as file:
         file.write(bytes(range(128, 256)))
-    assert "not a text file" in refused(capsys, "estimate", "binary.csv")
+    assert "no text in UTF-8" in refused(capsys, "estimate", "binary.csv")
     assert "not UTF-8" in refused(capsys, "estimate", flight, "--estimator", "binary.csv")
     assert "cannot read missing.csv" in refused(capsys, "estimate", "missing.csv")
     os.mkdir("folder.csv")
