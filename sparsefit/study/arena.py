@@ -3,14 +3,19 @@
 The parent's side: which process is asked what, in which order, and what its answers count for. An
 answer is weights in a file of known shape; every timed repeat has one, and one that is not that of
 the first is judged itself. A process that is lost costs the case that it was at.
+
+There is one clock, the parent's: seconds on the wall of a process and of all that it starts. Code
+that is timed can change its own clock and not this. CPU time stands beside the wall: a solver that
+sleeps, or works elsewhere, has less of it; a disturbed machine too.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +23,13 @@ import numpy as np
 
 from sparsefit import backends
 from sparsefit.arrays import Array
-from sparsefit.study.clock import Repeats, Timing, median_interval
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
 from sparsefit.study.contenders import Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.holdout import cross_validated, missed, recovered, support
-from sparsefit.study.keys import Holdout
-from sparsefit.study.plan import Step
-from sparsefit.study.problem_desk import WEIGHTS, own_fraction
+from sparsefit.study.keys import Clock, Holdout
+from sparsefit.study.plan import Asking
+from sparsefit.study.problem_desk import own_fraction
 from sparsefit.study.worker import Answer, Ask
 
 JUDGE = "judge"
@@ -33,6 +37,69 @@ READY_SECONDS, JUDGE_SECONDS = 120.0, 300.0  # to copy arrays, to certify
 SAME = 1e-9  # share of the largest weight by which an answer is that of the first repeat
 WORSE = 1e3  # times the first excess: the answer is of another problem
 NOTHINGS = 9  # asks for nothing, of which the median is the clock's own time
+CONFIDENCE = 0.95
+AHEAD = 1.2  # wall over CPU seconds beyond which a measurement was disturbed
+SHORT = 1e-3  # s of wall below which the ratio says nothing
+SLOW = 0.3  # s: a first run this long needs no warm-up of its own, and counts
+
+
+def median_interval(values: Sequence[float]) -> tuple[float, float, float]:
+    """Median and its 95 % interval by order statistics; NaN ends below six values.
+
+    Between the j-th smallest and the j-th largest of n lies the true median with probability
+    1 - 2 P(B < j), B binomial of n and 1/2, whatever the distribution.
+    """
+    if not len(values):
+        return math.nan, math.nan, math.nan
+    ordered, outside = np.sort(values), _outside(len(values))
+    ends = (ordered[outside - 1], ordered[-outside]) if outside else (math.nan, math.nan)
+    return float(np.median(ordered)), float(ends[0]), float(ends[1])
+
+
+@cache
+def _outside(count: int) -> int:
+    """The largest j of `median_interval`, 0 where there is none."""
+    from scipy.stats import binom  # slow to import, and of no use to a worker
+
+    outside = int(binom.ppf((1 - CONFIDENCE) / 2, count, 0.5))
+    while outside and 2 * binom.cdf(outside - 1, count, 0.5) > 1 - CONFIDENCE:
+        outside -= 1
+    return outside
+
+
+@dataclass
+class Repeats:
+    """Seconds [s] of the repeats of a case, by the clock `wall` and of `cpu`; spent: all of it."""
+
+    seconds: dict[str, list[float]] = field(default_factory=lambda: {"wall": [], "cpu": []})
+    spent: float = 0.0
+
+    def note(self, wall: float, cpu: float, *, first: bool) -> None:
+        """One more run; a short first one has only warmed up, and is not counted."""
+        self.spent += wall
+        if not first or wall > SLOW:
+            self.seconds["wall"].append(wall)
+            self.seconds["cpu"].append(cpu)
+
+    def enough(self, clock: Clock) -> bool:
+        """Whether no more is to be timed."""
+        made = len(self.seconds["wall"])
+        spent = made and self.spent >= clock.seconds
+        return bool(spent or made >= clock.repeats or self.columns(clock)["known"])
+
+    def columns(self, clock: Clock) -> dict[str, Value]:
+        """Medians, intervals, and whether the median of the wall is known as well as asked for."""
+        told: dict[str, Value] = {}
+        for name, seconds in self.seconds.items():
+            keys = (name, f"{name}_low", f"{name}_high")
+            told |= dict(zip(keys, median_interval(seconds), strict=True))
+        wall, low, high, cpu = (
+            float(told[name]) for name in ("wall", "wall_low", "wall_high", "cpu")
+        )
+        told["repeats"] = len(self.seconds["wall"])
+        told["known"] = high - low <= 2.0 * clock.precision * wall
+        told["disturbed"] = wall > SHORT and wall > AHEAD * cpu
+        return told
 
 
 class Over(Exception):  # noqa: N818 - it ends a case, and is no error of ours
@@ -55,7 +122,7 @@ class Crew:
 
 @dataclass
 class Case:
-    """A case while it is computed: its contender and tolerance, its timings and its verdict.
+    """A case while it is computed: its contender and tolerance, its times and its columns.
 
     points: the penalties of its path, 1 of a back-end that has none; weights: the answer (p, k, n)
     of its first solve; status and reason: set where it is over.
@@ -65,13 +132,12 @@ class Case:
     number: int
     contender: Contender
     tolerance: float
-    points: int
+    points: int = 1
     repeats: Repeats = field(default_factory=Repeats)
     weights: Array | None = None
-    verdict: dict[str, Any] = field(default_factory=dict)
     status: str = ""
     reason: str = ""
-    values: dict[str, Value] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)
 
     @property
     def desk(self) -> str:
@@ -87,32 +153,21 @@ def size_of(data: Data) -> dict[str, Value]:
 
 @dataclass(frozen=True, eq=False)
 class Arena:
-    """Cases of one problem, whose arrays lie in a folder, and the processes that solve them."""
+    """Cases of one problem, whose arrays lie in a file, and the processes that solve them."""
 
     design: ProblemDesign
     unit: int
     data: Data
-    folder: Path
+    file: Path
     crew: Crew
 
-    def case(self, cell: int) -> Case:
-        """The case of a cell, before it begins."""
-        number, stop = self.design.cells[cell]
-        contender, points = self.design.contenders[number], 1
-        if not contender.missing:
-            backend = backends.get(contender.backend, **contender.settings)
-            points = len(self.design.fractions) or 1 if own_fraction(backend) else 1
-        return Case(cell, number, contender, stop, points)
-
-    def run(self, cells: Sequence[int]) -> Step:
+    def run(self, cells: Sequence[int]) -> Asking[None]:
         """Judge each case, time all by turns until their medians are known, then hold rows out."""
-        cases = [self.case(cell) for cell in cells]
+        cases, clock, turn = [self._case(cell) for cell in cells], self.design.clock, 0
         for case in cases:
             yield from self._tried(case, self._begin(case, cases))
-        clock, turn = self.design.clock, 0
-        rules = (clock.repeats, clock.seconds, clock.precision)
         timed = list(cases)
-        while timed := [c for c in timed if not c.status and not c.repeats.enough(*rules)]:
+        while timed := [c for c in timed if not c.status and not c.repeats.enough(clock)]:
             turn += 1
             for case in timed if turn % 2 == 0 else reversed(timed):
                 yield from self._tried(case, self._repeat(case, turn))
@@ -121,13 +176,21 @@ class Arena:
                 yield from self._tried(case, self._hold_out(case, self.design.holdout))
         yield from map(self._outcome, cases)
 
-    def _tried(self, case: Case, steps: Step) -> Step:
+    def _case(self, cell: int) -> Case:
+        number, stop = self.design.cells[cell]
+        case = Case(cell, number, self.design.contenders[number], stop)
+        if not case.contender.missing:
+            backend = backends.get(case.contender.backend, **case.contender.settings)
+            case.points = len(self.design.fractions) or 1 if own_fraction(backend) else 1
+        return case
+
+    def _tried(self, case: Case, steps: Asking[None]) -> Asking[None]:
         try:
             yield from steps
         except Over as over:
             case.status, case.reason = over.args
 
-    def _begin(self, case: Case, cases: Sequence[Case]) -> Step:
+    def _begin(self, case: Case, cases: Sequence[Case]) -> Asking[None]:
         """The first solve, which is judged, and timed where it was too long to only warm up."""
         if case.contender.missing:
             raise Over("skipped", case.contender.missing)
@@ -137,36 +200,36 @@ class Arena:
             if looser and other.status == "timeout":
                 words = f"not tried: at tolerance {other.tolerance:g} {other.reason}"
                 raise Over("timeout", words)
-        case.weights, timing = yield from self._solve(case)
+        case.weights, *seconds = yield from self._solve(case)
         yield from self._judge(case, case.weights)
-        case.repeats.note(timing, first=True)
+        case.repeats.note(*seconds, first=True)
 
-    def _repeat(self, case: Case, turn: int) -> Step:
+    def _repeat(self, case: Case, turn: int) -> Asking[None]:
         """One more timed solve; its answer is the first one's, or is judged itself."""
-        weights, timing = yield from self._solve(case, seed=turn)
-        first, before = case.weights, case.verdict["excess"]
+        weights, *seconds = yield from self._solve(case, seed=turn)
+        first, before = case.weights, case.values["excess"]
         assert first is not None
-        case.repeats.note(timing, first=False)
+        case.repeats.note(*seconds, first=False)
         if np.abs(weights - first).max() <= SAME * np.abs(first).max():
             return
         yield from self._judge(case, weights)
-        after = case.verdict["excess"]
+        after = case.values["excess"]
         if after > max(WORSE * before, self._requested(case)):
             words = "a timed repeat answered another problem than it was given"
             raise Over("error", f"{words}: off by {after:.1e} of the objective at zero")
 
     def _solve(
         self, case: Case, *, seed: int = 0, without: tuple[int, int] | None = None
-    ) -> Generator[Ask | Outcome, Answer | None, tuple[Array, Timing]]:
-        """The weights (p, k, n) of one solve of all rows, or of those without a range."""
+    ) -> Asking[tuple[Array, float, float]]:
+        """Weights (p, k, n) of one solve of all rows, or without a range; its wall and CPU [s]."""
         yield from self._meet(case)
-        path = self.folder / WEIGHTS
+        path = self.file.with_name("weights.npy")
         shape = (case.points, self.data.theta.shape[1], self.data.target.shape[1])
         into = np.lib.format.open_memmap(path, mode="w+", dtype=float, shape=shape)
         into[...] = np.nan
         into.flush()
-        rows = {"folder": str(self.folder), "seed": seed, "without": without, "weights": str(path)}
-        ready = yield from self._ready(case, rows)
+        rows = {"file": str(self.file), "seed": seed, "without": without, "weights": str(path)}
+        ready = yield from self._ask(case, "ready", rows, READY_SECONDS)
         answer = yield from self._ask(case, "solve", {}, case.contender.limit, timed=True)
         # An odd seed changes the sign of the target: the answer has it too.
         weights = -np.array(into) if seed % 2 else np.array(into)
@@ -180,17 +243,9 @@ class Arena:
         wall = max(answer.wall - self.crew.overhead.get(case.desk, 0.0), 1e-9)
         # A command is charged for neither its start nor its files.
         wall, cpu = answer.content.get("clock") or (wall, answer.cpu)
-        return weights, Timing(wall, cpu)
+        return weights, wall, cpu
 
-    def _ready(
-        self, case: Case, rows: Mapping[str, Any]
-    ) -> Generator[Ask | Outcome, Answer | None, Answer]:
-        """Have the process of a case copy its rows; of none of these, small ones."""
-        own = {"contender": case.number, "tolerance": case.tolerance}
-        small = {"folder": "", "seed": 0, "without": None, "weights": ""}
-        return (yield from self._ask(case, "ready", {**own, **small, **rows}, READY_SECONDS))
-
-    def _meet(self, case: Case) -> Step:
+    def _meet(self, case: Case) -> Asking[None]:
         """The clock's own time of a process, and a first call on a small problem."""
         crew, desk = self.crew, case.desk
         if case.number in crew.lost:
@@ -203,10 +258,10 @@ class Arena:
             crew.overhead[desk] = float(np.median(walls))
         if case.number in crew.met.setdefault(desk, set()):
             return
-        yield from self._ready(case, {})
+        yield from self._ask(case, "ready", {}, READY_SECONDS)
         try:
             words, limit = "its first call", case.contender.first
-            first = yield from self._ask(case, "solve", {}, limit, timed=True, words=words)
+            first = yield from self._ask(case, "first", {}, limit, timed=True, words=words)
             crew.first.setdefault(case.number, first.wall)
         except Over as over:
             if over.args[0] != "error":
@@ -225,9 +280,11 @@ class Arena:
         timed: bool = False,
         words: str = "the solve",
         desk: str = "",
-    ) -> Generator[Ask | Outcome, Answer | None, Answer]:
+    ) -> Asking[Answer]:
         """The answer of a process. Raises Over where it is lost, or the code raised."""
         desk = desk or case.desk
+        if verb == "ready":
+            content = {"contender": case.number, "tolerance": case.tolerance, **content}
         answer = yield Ask(verb, content, limit, desk, timed)
         assert answer is not None
         if answer.lost:
@@ -237,38 +294,37 @@ class Arena:
             raise Over(answer.status, answer.words(words)[:MAX_REASON])
         return answer
 
-    def _judge(self, case: Case, weights: Array) -> Step:
+    def _judge(self, case: Case, weights: Array) -> Asking[None]:
         """The verdict on an answer, from a process of its own; the worst of all counts."""
-        path = self.folder / "judged.npy"
+        path = self.file.with_name("judged.npy")
         np.save(path, weights)
-        content = {"folder": str(self.folder), "contender": case.number, "weights": str(path)}
+        content = {"file": str(self.file), "contender": case.number, "weights": str(path)}
         how: Any = {"desk": JUDGE, "words": "the certificate"}
         answer = yield from self._ask(case, "verdict", content, JUDGE_SECONDS, **how)
-        worst, verdict = case.verdict, answer.content
-        case.verdict = {"certificate_kind": str(verdict.get("kind", ""))}
+        case.values["certificate_kind"] = str(answer.content.get("kind", ""))
         for name, key in (("certificate", "gap"), ("excess", "excess")):
-            value = _number(verdict, key)
+            value = _number(answer.content, key)
             value = math.inf if math.isnan(value) else value  # no proof is no answer
-            case.verdict[name] = max(value, worst.get(name, 0.0))
+            case.values[name] = max(value, case.values.get(name, 0.0))
 
-    def _hold_out(self, case: Case, rules: Holdout) -> Step:
+    def _hold_out(self, case: Case, rules: Holdout) -> Asking[None]:
         """Errors on rows that a fit did not see, its support, and how alike two halves are."""
-        data, weights, m = self.data, case.weights, self.data.theta.shape[0]
+        data, weights, m = self.data, case.weights, len(self.data.target)
         assert weights is not None
         if data.samples is not None:  # compressed rows are no samples
             return
-        folds = np.array_split(np.arange(m), rules.folds) if rules.folds else []
-        errors, bases = [], []
-        for low, high in [(int(f[0]), int(f[-1]) + 1) for f in folds if len(f)]:
+        point, errors, bases = 0, list[Array](), list[float]()
+        for fold in np.array_split(np.arange(m), rules.folds) if rules.folds else ():
+            if not len(fold):
+                continue
             try:
-                fitted, _ = yield from self._solve(case, without=(low, high))
+                fitted, *_ = yield from self._solve(case, without=(int(fold[0]), int(fold[-1]) + 1))
             except Over as over:
                 status, reason = over.args
                 raise Over(status, f"on a fold of the rows: {reason}"[:MAX_REASON]) from None
-            part, mean = data.target[low:high], np.delete(data.target, np.s_[low:high], 0).mean(0)
-            errors.append(missed(data.theta[low:high], part, fitted))
-            bases.append(float(((part - mean) ** 2).sum()))
-        point = 0
+            seen = np.delete(data.target, fold, 0)
+            errors.append(missed(data.theta[fold[0] : fold[-1] + 1], data.target[fold], fitted))
+            bases.append(_squares(data.target[fold], seen))
         if errors:
             case.values |= cross_validated(np.array(errors), np.array(bases))
             point = int(np.sum(errors, axis=0).argmin())
@@ -279,8 +335,7 @@ class Arena:
             blocks = np.array_split(np.arange(len(target)), min(rules.folds or 5, len(target)))
             chosen = weights[point : point + 1]
             remaining = np.array([missed(theta[b], target[b], chosen) for b in blocks])
-            mean = data.target.mean(axis=0)
-            base = np.array([float(((target[b] - mean) ** 2).sum()) for b in blocks])
+            base = np.array([_squares(target[b], data.target) for b in blocks])
             case.values |= cross_validated(remaining, base)
         rms = np.sqrt(np.asarray((data.theta * data.theta).mean(axis=0)))
         used = support(weights[point], rms, rules.support)
@@ -290,7 +345,7 @@ class Arena:
         if rules.stability and m >= 4:
             halves = []
             for other in ((m // 2, m), (0, m // 2)):
-                fitted, _ = yield from self._solve(case, without=other)
+                fitted, *_ = yield from self._solve(case, without=other)
                 halves.append(support(fitted[point], rms, rules.support))
             union, shared = (halves[0] | halves[1]).sum(), (halves[0] & halves[1]).sum()
             case.values["stability"] = float(shared / union) if union else 1.0
@@ -301,27 +356,24 @@ class Arena:
 
     def _outcome(self, case: Case) -> Outcome:
         """The row: `ok` where every answer's excess is within what was asked for."""
-        status, reason = case.status or "ok", case.reason
-        if not case.status and not case.verdict["excess"] <= self._requested(case):
-            status, words = "inaccurate", str(case.values.get("word", ""))
-            reason = f"certified {case.verdict['excess']:.1e}, asked for {self._requested(case):g}"
-            reason = f"{reason}: {words}" if words else reason
-        timings = case.repeats.timings
-        walls = median_interval([timing.wall for timing in timings])
-        cpus = median_interval([timing.cpu for timing in timings])
-        values: dict[str, Value] = {
+        status, reason, requested = case.status or "ok", case.reason, self._requested(case)
+        if not case.status and not case.values["excess"] <= requested:
+            status = "inaccurate"
+            words = (f"certified {case.values['excess']:.1e}, asked for {requested:g}",)
+            reason = ": ".join(filter(None, (*words, case.values.get("word", ""))))
+        values = {
             **size_of(self.data),
-            **dict(zip(("wall", "wall_low", "wall_high"), walls, strict=True)),
-            **dict(zip(("cpu", "cpu_low", "cpu_high"), cpus, strict=True)),
-            **case.verdict,
+            **case.repeats.columns(self.design.clock),
             **case.values,
             "points": case.points,
-            "repeats": len(timings),
-            "known": case.repeats.registered(self.design.clock.precision),
-            "disturbed": case.repeats.disturbed,
             "first": self.crew.first.get(case.number, math.nan),
         }
         return Outcome(self.unit, case.cell, status, reason[:MAX_REASON], values)
+
+
+def _squares(target: Array, seen: Array) -> float:
+    """The squares of target rows about the mean of those that were seen."""
+    return float(((target - seen.mean(axis=0)) ** 2).sum())
 
 
 def _number(content: Mapping[str, Any], name: str) -> float:

@@ -13,35 +13,157 @@ A row is (cell, status, reason, body), as the store keeps it. To time an estimat
 from __future__ import annotations
 
 import gc
+import json
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from sparsefit import Estimator, Library, PointMassVehicle, backends
 from sparsefit.errors import InputError, SparsefitError, described, one_line
-from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.prepare import Prepared
-from sparsefit.flight import simulate_flight
-from sparsefit.flight.flow import Cells
+from sparsefit.flight import Flight, simulate_flight
+from sparsefit.flight.flow import Cells, CellularFlow
+from sparsefit.likelihood import Disturbance, FlightLog, StreamPattern, bound
+from sparsefit.likelihood.vehicle_estimate import model_of
 from sparsefit.model import LengthScaleGrid
 from sparsefit.model.grid import extent_of
 from sparsefit.onboard import as_flown
-from sparsefit.regression import Fit
+from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.regression.fit import path
-from sparsefit.score import strongest
+from sparsefit.score import prediction_error, score, score_scales, strongest
 from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, body_of, values_of
 from sparsefit.study.crossing import Cell
 from sparsefit.study.definition import Definition
 from sparsefit.study.draw import SIMULATION, Draw, FlightRules, stream
 from sparsefit.study.logged import Logged, Logs
-from sparsefit.study.reading import Flown, Reading, bounds_of
 from sparsefit.study.worker import resident
 
 ALPHA = "alpha_fraction"
+WITHIN = 1.0  # percent: the error within which all length scales count as right
+EXACT = 1e-6  # noise of a known position and velocity, in L and U0
+
+
+@dataclass(frozen=True)
+class Flown:
+    """The flights of a unit in a condition, without their flow, and how they are judged.
+
+    The truth enters at the score and nowhere before. extent [m]: of the flights together; bounds:
+    the least standard deviations of U0 [m/s], L [m] and tau_w [s]; none where none is known.
+    others: flights through the same flow, along which it is predicted.
+    """
+
+    unit: int
+    draw: Draw | Logged
+    fleet: tuple[Flight, ...]
+    extent: float
+    bounds: Mapping[str, float] = field(default_factory=dict)
+    others: tuple[Flight, ...] = ()
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A case that was read, with all that its columns are read from."""
+
+    estimate: Estimate
+    fit: Fit
+    problem: RegressionProblem
+    flown: Flown
+
+    @cached_property
+    def values(self) -> dict[str, Value]:
+        """The columns of `cases.parquet` that are read from the case, by name."""
+        return values_of(self)
+
+    @property
+    def hit(self) -> bool:
+        """Whether the candidate scale nearest the truth was chosen."""
+        scales, flow = self.problem.group_scales, self.flown.draw.flow
+        return scales is not None and flow is not None and score(self.estimate, flow, scales).hit
+
+    @cached_property
+    def scale_sets(self) -> dict[str, Any]:
+        """The set of scales held against the true one; empty where one flow was read as one.
+
+        Each is listed as JSON, [[L [m], U0 [m/s]], ...], to seven digits. A readout of one scale on
+        superposed flows counts as the set of that scale.
+        """
+        estimate, flow = self.estimate, self.flown.draw.flow
+        if flow is None or (len(flow.cells) == 1 and not estimate.scales):
+            return {}
+        scales = estimate.scales
+        if not scales and math.isfinite(estimate.length_scale + estimate.mean_velocity):
+            numbers = (estimate.mean_velocity, estimate.length_scale, estimate.timescale)
+            scales = (ScaleEstimate(*numbers, estimate.grid_length_scale),)
+        told: dict[str, Any] = {"score": score_scales(scales, flow)}
+        told["within_1_percent"] = told["score"].within(WITHIN)
+        both: Any = (("true", flow.cells), ("estimated", scales))
+        for name, listed in both:
+            pairs = [(scale.length_scale, scale.mean_velocity) for scale in listed]
+            rounded = [[float(f"{value:.7g}") for value in pair] for pair in pairs]
+            told[name] = json.dumps(rounded, separators=(",", ":"))
+        return told
+
+    @property
+    def prediction_error(self) -> float | None:
+        """The relative error of the flow along other flights; None without a flow or a flight."""
+        flow, others = self.estimate.flow, self.flown.others
+        return prediction_error(flow, others) if flow is not None and others else None
+
+    @cached_property
+    def intervals(self) -> Mapping[str, tuple[float, float]]:
+        """The 95 % intervals by parameter, in their units, where there are any."""
+        known = self.estimate.uncertainty
+        ends = {name: getattr(known, f"{name}_interval") for name in PARAMETERS if known}
+        return {name: outward(*map(float, pair)) for name, pair in ends.items()}
+
+
+def outward(low: float, high: float) -> tuple[float, float]:
+    """The interval, 1/32768 of its width longer at most: shorter numbers to store."""
+    width = high - low
+    if not (math.isfinite(width) and width > 0):
+        return low, high
+    step = math.ldexp(1.0, math.frexp(width)[1] - 17)
+    return math.floor(low / step) * step, math.ceil(high / step) * step
+
+
+def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
+    """The Cramér-Rao bounds of U0 [m/s], L [m] and tau_w [s] of flights together under Eq. 7.
+
+    Bounds are those of trajectories that are known, with noise on v' alone: there are none
+    without process noise, with noise of position or velocity, without a single cellular flow, or
+    where the flights do not see all of it.
+    """
+    noise, flow = draw.values.get("process_noise", 0.0), draw.flow
+    measured = any(draw.values.get(name, 0.0) > 0 for name in ("position_noise", "velocity_noise"))
+    if noise <= 0 or measured or not isinstance(flow, CellularFlow):
+        return {}
+    # psi = U0/(2k) [cos k(x - y) - cos k(x + y)]
+    speed, scale = flow.mean_velocity, flow.length_scale
+    k, height = flow.wavenumber, 0.5 * speed / flow.wavenumber
+    waves, cosine = k * np.array([[1.0, 1.0], [1.0, -1.0]]), height * np.array([-1.0, 1.0])
+    pattern, models = StreamPattern.of_waves("axis", waves, cosine, np.zeros(2)), []
+    for flown in fleet:
+        density = noise * math.sqrt(flown.duration / (flown.samples - 1))  # [m/s^2/sqrt(Hz)]
+        noises = Disturbance(density, EXACT * scale, EXACT * speed)
+        model = model_of(pattern, flown, draw.vehicle, (0.0, 0.0))
+        models.append(replace(model, disturbance=noises))
+    states = [np.hstack([flown.position, flown.velocity]) for flown in fleet]
+    try:
+        covariance = bound([FlightLog.of_flight(flown) for flown in fleet], models, states)
+    except InputError:
+        return {}
+    slopes = np.zeros((3, len(covariance)))  # of U0, L and tau_w by the parameters of the pattern
+    slopes[0, 0] = slopes[1, 1] = 1.0
+    slopes[2, :2] = -scale / speed**2, 1.0 / speed
+    errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes)).tolist()
+    return dict(zip(("mean_velocity", "length_scale", "timescale"), errors, strict=True))
 
 
 def estimator_of(definition: Definition, cell: Cell) -> Estimator:
@@ -113,29 +235,9 @@ class FlightDesk:
         gc.collect()
         gc.freeze()  # later collections pass over what is loaded now
 
-    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """The answer to a verb for a unit and cells that share its flight."""
-        cells = [self._definition.flights.cells[index] for index in content["cells"]]
-        flown = self._fly(content["unit"], cells[0])
-        if verb == "prepare":
-            self._prepare(flown, cells[0])
-        elif verb == "cases":
-            prepared = self._prepare(flown, cells[0])
-            fits = self._fits(prepared, cells)
-            return {"rows": [self._row(flown, prepared, cell, fit) for cell, fit in fits]}
-        elif verb == "ready":
-            if hasattr(os, "sched_setaffinity"):
-                os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-            return {"memory": resident()}
-        elif verb == "estimate":
-            with suppress(Exception):  # a refusal takes its time too
-                self._estimator(cells[0]).estimate(flown.fleet)
-        return {}
-
-    def _estimator(self, cell: Cell) -> Estimator:
-        if cell.index not in self._estimators:
-            self._estimators[cell.index] = estimator_of(self._definition, cell)
-        return self._estimators[cell.index]
+    def fly(self, unit: int, cells: Sequence[int]) -> None:
+        """Have the flights of a unit in the condition of these cells."""
+        self._fly(unit, self._definition.flights.cells[cells[0]])
 
     def _fly(self, unit: int, cell: Cell) -> Flown:
         key = (unit, cell.setup.flights)
@@ -145,17 +247,39 @@ class FlightDesk:
             self._flown = (key, fly(self._definition, *key))
         return self._flown[1]
 
-    def _prepare(self, flown: Flown, cell: Cell) -> Prepared:
-        setup = cell.setup
+    def prepare(self, unit: int, cells: Sequence[int]) -> None:
+        """Have the regression problem that these cells share."""
+        self._prepare(unit, self._definition.flights.cells[cells[0]])
+
+    def _prepare(self, unit: int, cell: Cell) -> tuple[Flown, Prepared]:
+        flown, setup = self._fly(unit, cell), cell.setup
         key = (setup.derivative, setup.library, setup.online)
         if self._prepared is None or self._prepared[0] != key:
             self._prepared = None
             prepared = setup.online.prepare(self._estimator(cell), flown.fleet)
             self._prepared = (key, prepared)
-        return self._prepared[1]
+        return flown, self._prepared[1]
+
+    def _estimator(self, cell: Cell) -> Estimator:
+        if cell.index not in self._estimators:
+            self._estimators[cell.index] = estimator_of(self._definition, cell)
+        return self._estimators[cell.index]
+
+    def cases(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
+        """The rows of cells that share a fit, or a path of penalties."""
+        chosen = [self._definition.flights.cells[index] for index in cells]
+        flown, prepared = self._prepare(unit, chosen[0])
+        rows = []
+        for cell, fit in self._fits(prepared, chosen):
+            estimate = self._estimator(cell).read(prepared, fit)
+            values = Reading(estimate, fit, prepared.problem, flown).values | truth_of(flown.draw)
+            pairs = estimate.weights_by_scale.items() if self._definition.keeps_weights else ()
+            weights = sorted((float(scale), float(weight)) for scale, weight in pairs)
+            reason = one_line(estimate.reason or "", MAX_REASON)
+            rows.append((cell.index, estimate.status, reason, body_of(values, weights)))
+        return {"rows": rows}
 
     def _fits(self, prepared: Prepared, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Fit]]:
-        """The fit of each cell; cells that differ in `alpha_fraction` only share a path."""
         estimator = self._estimator(cells[0])
         fractions = path_fractions(cells[0]) if len(cells) > 1 else ()
         if fractions:
@@ -168,41 +292,30 @@ class FlightDesk:
             fit = estimator.fit(prepared)
             yield from ((cell, fit) for cell in cells)
 
-    def _row(
-        self, flown: Flown, prepared: Prepared, cell: Cell, fit: Fit
-    ) -> tuple[int, str, str, str]:
-        estimate = self._estimator(cell).read(prepared, fit)
-        values = values_of(Reading(estimate, fit, prepared.problem, flown)) | truth_of(flown.draw)
-        pairs = estimate.weights_by_scale.items() if self._definition.keeps_weights else ()
-        weights = sorted((float(scale), float(weight)) for scale, weight in pairs)
-        reason = one_line(estimate.reason or "", MAX_REASON)
-        return cell.index, estimate.status, reason, body_of(values, weights)
+    def ready(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
+        """Have a core of its own, and the flight; the memory [MB] so far."""
+        self.fly(unit, cells)
+        if hasattr(os, "sched_setaffinity"):
+            os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        return {"memory": resident()}
+
+    def estimate(self, unit: int, cells: Sequence[int]) -> None:
+        """Estimate from the record of the flight; a refusal takes its time too."""
+        cell = self._definition.flights.cells[cells[0]]
+        with suppress(Exception):
+            self._estimator(cell).estimate(self._fly(unit, cell).fleet)
 
 
-@dataclass(frozen=True, eq=False)
-class CaseAgain:
-    """A case that was run once more, in this process.
-
-    values: the columns of `cases.parquet` that are read from it, by name.
-    """
-
-    flown: Flown
-    estimate: Estimate
-    values: dict[str, Value]
-
-    @classmethod
-    def of(cls, definition: Definition, unit: int, cell: Cell) -> CaseAgain:
-        """Fly, fit and read. Raises SparsefitError where the case fails, as in the run."""
-        try:
-            flown = fly(definition, unit, cell.setup.flights)
-            estimator = estimator_of(definition, cell)
-            prepared = cell.setup.online.prepare(estimator, flown.fleet)
-            fit = estimator.fit(prepared)
-            estimate = estimator.read(prepared, fit)
-            values = values_of(Reading(estimate, fit, prepared.problem, flown))
-        except InputError:
-            raise
-        except Exception as error:
-            name = f"{unit:04d}-{cell.key}"
-            raise SparsefitError(f"{name} ends in an error: {described(error)}") from error
-        return cls(flown, estimate, values)
+def read_again(definition: Definition, unit: int, cell: Cell) -> Reading:
+    """Fly, fit and read in this process. Raises SparsefitError where the case fails, as it did."""
+    try:
+        flown = fly(definition, unit, cell.setup.flights)
+        estimator = estimator_of(definition, cell)
+        prepared = cell.setup.online.prepare(estimator, flown.fleet)
+        fit = estimator.fit(prepared)
+        return Reading(estimator.read(prepared, fit), fit, prepared.problem, flown)
+    except InputError:
+        raise
+    except Exception as error:
+        name = f"{unit:04d}-{cell.key}"
+        raise SparsefitError(f"{name} ends in an error: {described(error)}") from error

@@ -25,7 +25,7 @@ from sparsefit.study.crossing import Cell, Protocol
 from sparsefit.study.definition import FlightDesign
 from sparsefit.study.flight_desk import ALPHA, FlightDesk, path_fractions, truth_of
 from sparsefit.study.manifest import code_version
-from sparsefit.study.plan import Batch, Experiment, Step
+from sparsefit.study.plan import Asking, Batch, Experiment
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 from sparsefit.study.worker import Answer, Ask
 
@@ -167,7 +167,7 @@ class FlightExperiment(Experiment):
                 if cells := [cell for cell in group if row[cell]]:
                     yield Batch(unit, tuple(cells))
 
-    def run(self, batch: Batch) -> Step:
+    def run(self, batch: Batch) -> Asking[None]:
         """Fly, prepare each library, then fit and read; a step that is lost costs its own cells.
 
         A path that is lost is tried fit by fit: the blame belongs to one of them.

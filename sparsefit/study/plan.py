@@ -9,11 +9,11 @@ are two, supplies units, cells and the way in which a batch of cases is run; all
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -21,13 +21,14 @@ from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study.columns import Column, Outcome
 from sparsefit.study.definition import Definition
-from sparsefit.study.worker import Answer, Ask, Desk
+from sparsefit.study.worker import Answer, Ask
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Columns: TypeAlias = Mapping[str, Sequence[Any]]
-Step: TypeAlias = Generator[Ask | Outcome, Answer | None, None]
+T = TypeVar("T")
+Asking: TypeAlias = Generator[Ask | Outcome, Answer | None, T]  # until it returns a T
 
 
 @dataclass(frozen=True)
@@ -88,11 +89,11 @@ class Experiment:
         """The cases ``wanted`` (u, c) in batches."""
         raise NotImplementedError
 
-    def run(self, batch: Batch) -> Step:
+    def run(self, batch: Batch) -> Asking[None]:
         """Asks for workers, whose answers are sent in, and an outcome for each of the cells."""
         raise NotImplementedError
 
-    def desk(self, name: str) -> tuple[Callable[..., Desk], tuple[Any, ...]]:
+    def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
         """The class of a desk by its name, and its arguments: what lives in a worker."""
         raise NotImplementedError
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from sparsefit.errors import SparsefitError
 from sparsefit.study.columns import Outcome
-from sparsefit.study.plan import Batch, Experiment, Step
+from sparsefit.study.plan import Asking, Batch, Experiment
 from sparsefit.study.worker import Answer, Ask, Worker, memory_limit, wait_for
 
 TICK = 0.5  # seconds between looks at the clock, at most
@@ -64,7 +64,7 @@ def outcomes(
         experiment.end()
 
 
-def _steps(experiment: Experiment, batches: Iterator[Batch]) -> Step:
+def _steps(experiment: Experiment, batches: Iterator[Batch]) -> Asking[None]:
     for batch in batches:
         yield from experiment.run(batch)
 
@@ -74,7 +74,7 @@ class Slot:
     """One place where batches run: their steps, its workers by desk, and what one is asked."""
 
     experiment: Experiment
-    steps: Step
+    steps: Asking[None]
     memory: float
     crew: dict[str, Worker] = field(default_factory=dict)
     ask: Ask | None = None

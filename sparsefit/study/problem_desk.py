@@ -1,6 +1,6 @@
 """The worker's side of a study of problems: solve what is in hand, and judge it in another process.
 
-A solver's process (`SolverDesk`) meets each problem as files. For every solve it makes arrays of
+A solver's process (`SolverDesk`) meets each problem as a file. For every solve it makes arrays of
 its own: read-only copies at other addresses, with the signs of rows and of the target changed,
 (D Z, s D y) for signs D and s, which is the same problem with the solution s W in other bytes: an
 answer that was kept from an earlier call is none. Weights are written into a file that the parent
@@ -22,14 +22,12 @@ import dataclasses
 import gc
 import math
 import os
+import pickle
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.sparse import load_npz
 
 from sparsefit import RegressionProblem, backends
 from sparsefit import path as certified_path
@@ -42,59 +40,40 @@ from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import answers
 from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
+from sparsefit.study.data_sets import Data
 from sparsefit.study.worker import resident
 
 RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
-PROBLEM, THETA, WEIGHTS = "problem.npz", "theta.npz", "weights.npy"
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Arrays of a problem in a folder: theta (m, k), dense or CSC, target (m, n), groups (k,).
+def loaded(file: str) -> Data:
+    """The arrays of a problem that the parent wrote."""
+    with open(file, "rb") as opened:
+        data: Data = pickle.load(opened)
+    return data
 
-    samples: the number of rows that theta stands for, where it is compressed; partial: rows of the
-    problem are left out.
-    """
 
-    theta: Any
-    target: Array
-    groups: Any
-    samples: int | None
-    partial: bool = False
+def problem_of(data: Data) -> RegressionProblem:
+    """The regression problem of these rows."""
+    problem = RegressionProblem.from_arrays(data.theta, data.target, data.groups)
+    if data.samples is None:
+        return problem
+    return dataclasses.replace(problem, sample_count=data.samples)
 
-    @classmethod
-    def load(cls, folder: str) -> Rows:
-        """The problem that the parent wrote."""
-        folder_of = Path(folder)
-        with np.load(folder_of / PROBLEM, allow_pickle=False) as arrays:
-            groups = arrays.get("groups")
-            samples = int(arrays["samples"]) or None
-            theta = load_npz(folder_of / THETA) if (folder_of / THETA).exists() else arrays["theta"]
-            return cls(theta, arrays["target"], groups, samples)
 
-    def problem(self) -> RegressionProblem:
-        """The regression problem of these rows."""
-        data = (self.theta, self.target, self.groups)
-        problem = RegressionProblem.from_arrays(*data, partial=self.partial)
-        if self.samples is None:
-            return problem
-        return dataclasses.replace(problem, sample_count=self.samples)
-
-    def part(self, without: tuple[int, int] | None, seed: int) -> Rows:
-        """A copy of the rows without a range, with signs by a seed, and read-only."""
-        every = np.arange(len(self.target))
-        chosen = slice(None) if without is None else np.delete(every, np.s_[slice(*without)])
-        signs, sign = signs_of(len(self.target[chosen]), seed)
-        theta, target = self.theta[chosen], sign * signs[:, None] * self.target[chosen]
-        numbers = theta = theta * signs[:, None] if isinstance(theta, np.ndarray) else theta.copy()
-        if not isinstance(theta, np.ndarray):
-            theta.data *= signs[theta.indices]
-            numbers = theta.data
-        for array in (numbers, target):
-            array.setflags(write=False)
-        if without is None:
-            return Rows(theta, target, self.groups, self.samples)
-        return Rows(theta, target, self.groups, None, partial=True)
+def part_of(data: Data, without: tuple[int, int] | None, seed: int) -> Data:
+    """A copy of the rows without a range, with signs by a seed, and read-only."""
+    every = np.arange(len(data.target))
+    chosen = slice(None) if without is None else np.delete(every, np.s_[slice(*without)])
+    signs, sign = signs_of(len(data.target[chosen]), seed)
+    theta, target = data.theta[chosen], sign * signs[:, None] * data.target[chosen]
+    numbers = theta = theta * signs[:, None] if isinstance(theta, np.ndarray) else theta.copy()
+    if not isinstance(theta, np.ndarray):
+        theta.data *= signs[theta.indices]
+        numbers = theta.data
+    for array in (numbers, target):
+        array.setflags(write=False)
+    return Data(theta, target, data.groups, samples=data.samples if without is None else None)
 
 
 def signs_of(rows: int, seed: int) -> tuple[Array, float]:
@@ -105,12 +84,6 @@ def signs_of(rows: int, seed: int) -> tuple[Array, float]:
     return signs, -1.0 if seed % 2 else 1.0
 
 
-def small_rows() -> Rows:
-    """The rows of the problem of a first call."""
-    problem = small_problem()
-    return Rows(problem.theta, problem.target, problem.groups, None)
-
-
 def solve(
     contender: Contender, problem: RegressionProblem, fractions: Sequence[float], tolerance: float
 ) -> Sequence[Solution]:
@@ -118,8 +91,8 @@ def solve(
     backend: Any = backends.get(contender.backend, **contender.settings)
     stop, requested = None if math.isnan(tolerance) else tolerance, tuple(fractions)
     if contender.certified:
-        fresh = dataclasses.replace(problem)  # without the sums that it has already
-        fits = certified_path(fresh, backend, requested).fits
+        data = (problem.theta, problem.target, problem.groups)
+        fits = certified_path(RegressionProblem.from_arrays(*data), backend, requested).fits
         return [Solution(fit.weights, solver_status=fit.status) for fit in fits]
     if not isinstance(backend, PenalisedBackend):
         return [backend.solve(problem)]
@@ -146,44 +119,44 @@ class SolverDesk:
 
     def __init__(self, design: ProblemDesign) -> None:
         self._design = design
-        self._rows: tuple[str, Rows] | None = None
+        self._data: tuple[str, Data] | None = None
         self._work: tuple[Any, ...] = ()
         self._into: Any = None
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
         os.dup2(silent, 2)
 
-    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """`nothing`; `ready` with a copy of the rows in a folder, or of small ones; `solve`."""
-        if verb == "ready":
-            return self._ready(**content)
-        if verb == "solve" and self._into is None:  # a first call
-            self._solve()
-            gc.collect()
-            gc.freeze()  # later collections pass over what is loaded now
-        elif verb == "solve":
-            return self._solved()
-        return {}
+    def nothing(self) -> None:
+        """An ask whose time is the clock's own."""
 
-    def _ready(
+    def ready(
         self,
-        folder: str,
         contender: int,
         tolerance: float,
-        seed: int,
-        without: tuple[int, int] | None,
-        weights: str,
+        file: str = "",
+        seed: int = 0,
+        without: tuple[int, int] | None = None,
+        weights: str = "",
     ) -> Mapping[str, Any]:
-        if self._rows is None or self._rows[0] != folder:
-            self._rows = (folder, Rows.load(folder) if folder else small_rows())
+        """Copy the rows of a file, or small ones, to be solved next; the memory before that."""
+        if self._data is None or self._data[0] != file:
+            small = small_problem()
+            rows = loaded(file) if file else Data(small.theta, small.target, small.groups)
+            self._data = (file, rows)
         chosen = self._design.contenders[contender]
-        problem = self._rows[1].part(without, seed).problem()
+        problem = problem_of(part_of(self._data[1], without, seed))
         self._work = (chosen, problem, self._design.fractions, tolerance)
         self._into = np.lib.format.open_memmap(weights, mode="r+") if weights else None
         memory = _peak_from_here()
         gc.collect()
         gc.disable()
         return {"memory": memory}
+
+    def first(self) -> None:
+        """A first call, of which nothing is an answer."""
+        self._solve()
+        gc.collect()
+        gc.freeze()  # later collections pass over what is loaded now
 
     def _solve(self) -> Sequence[Solution]:
         work, self._work = self._work, ()
@@ -192,7 +165,7 @@ class SolverDesk:
         finally:
             gc.enable()
 
-    def _solved(self) -> Mapping[str, Any]:
+    def solve(self) -> Mapping[str, Any]:
         """Solve, and write what is an answer; all of it counts as time."""
         solutions = self._solve()
         for into, solution in zip(self._into, solutions, strict=False):
@@ -209,17 +182,15 @@ class JudgeDesk:
 
     def __init__(self, design: ProblemDesign) -> None:
         self._design = design
-        self._folder = ""
+        self._file = ""
         self._problem: RegressionProblem | None = None
         self._bounds: dict[str, Array] = {}
 
-    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """The verdict on the weights of a contender on the problem in a folder."""
-        if content["folder"] != self._folder:
-            self._folder = content["folder"]
-            self._problem, self._bounds = Rows.load(self._folder).problem(), {}
-        contender = self._design.contenders[content["contender"]]
-        kind, gap, excess = self._judged(contender, np.load(content["weights"]))
+    def verdict(self, file: str, contender: int, weights: str) -> Mapping[str, Any]:
+        """The verdict on the weights of a contender on the problem in a file."""
+        if file != self._file:
+            self._file, self._problem, self._bounds = file, problem_of(loaded(file)), {}
+        kind, gap, excess = self._judged(self._design.contenders[contender], np.load(weights))
         return {"kind": kind, "gap": gap, "excess": excess}
 
     def _judged(self, contender: Contender, weights: Array) -> tuple[str, float, float]:

@@ -9,15 +9,15 @@ a solver also fits parts of the rows, and is judged by the rest.
 from __future__ import annotations
 
 import os
+import pickle
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.sparse import save_npz
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
@@ -26,8 +26,8 @@ from sparsefit.study.columns import PROBLEM_COLUMNS
 from sparsefit.study.contenders import Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.manifest import code_version, processor, version_of, versions
-from sparsefit.study.plan import Batch, Experiment, Step
-from sparsefit.study.problem_desk import PROBLEM, THETA, JudgeDesk, SolverDesk
+from sparsefit.study.plan import Asking, Batch, Experiment
+from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 
 ON = " on "  # between the code and the machine
@@ -130,7 +130,7 @@ class ProblemExperiment(Experiment):
         """Every problem, so that one that is none is refused before work starts."""
         return [source.build() for source in self.design.problems]
 
-    def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
+    def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
         """A process for each family of solvers, and one for the judge."""
         return (JudgeDesk if name == JUDGE else SolverDesk), (self.design,)
 
@@ -142,26 +142,16 @@ class ProblemExperiment(Experiment):
                 if mine := [cell for cell in cells if wanted[unit, cell]]:
                     yield Batch(unit, tuple(mine))
 
-    def run(self, batch: Batch) -> Step:
+    def run(self, batch: Batch) -> Asking[None]:
         """Judge each case, time all by turns, then hold rows out."""
-        data, folder = self._data[batch.unit], self._folder(batch.unit)
-        yield from Arena(self.design, batch.unit, data, folder, self._crew).run(batch.cells)
-
-    def _folder(self, unit: int) -> Path:
-        """The folder with the arrays of a problem, written once."""
-        folder = Path(self._home.name) / str(unit)
-        if not folder.exists():
-            folder.mkdir()
-            data = self._data[unit]
-            content: dict[str, Any] = {"target": data.target, "samples": data.samples or 0}
-            if isinstance(data.theta, np.ndarray):
-                content["theta"] = data.theta
-            else:
-                save_npz(folder / THETA, data.theta)
-            if data.groups is not None:
-                content["groups"] = np.unique(data.groups, return_inverse=True)[1]
-            np.savez(folder / PROBLEM, **content)
-        return folder
+        data = self._data[batch.unit]
+        file = Path(self._home.name) / f"{batch.unit}.problem"
+        if not file.exists():
+            labels = data.groups
+            groups = None if labels is None else np.unique(labels, return_inverse=True)[1]
+            with file.open("wb") as opened:
+                pickle.dump(replace(data, groups=groups, truth=None, test=None), opened, protocol=5)
+        yield from Arena(self.design, batch.unit, data, file, self._crew).run(batch.cells)
 
     def end(self) -> None:
         """Remove the arrays in files, and forget what processes knew that have ended."""

@@ -26,7 +26,7 @@ from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.definition import Definition, definition_of, read_definition
 from sparsefit.study.export import cases_table, read_cases, read_weights
-from sparsefit.study.flight_desk import CaseAgain, estimator_of
+from sparsefit.study.flight_desk import Reading, estimator_of, read_again
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import Outputs
 from sparsefit.study.latency import Latency, measure, read_latencies, write_latencies
@@ -185,7 +185,7 @@ class Study:
         self.__dict__.pop("cases", None)
         return merge(self.planned, self.folder, parts)
 
-    def again(self, case_id: str) -> CaseAgain | Outcome:
+    def again(self, case_id: str) -> Reading | Outcome:
         """One case run once more: of flights in this process, with all it was read from.
 
         Raises:
@@ -200,7 +200,7 @@ class Study:
             raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}, {near} say")
         unit, cell = self.planned.at(place)
         if isinstance(self.experiment, FlightExperiment):
-            return CaseAgain.of(self.definition, unit, self.definition.flights.cells[cell])
+            return read_again(self.definition, unit, self.definition.flights.cells[cell])
         (outcome,) = outcomes(self.experiment, iter([Batch(unit, (cell,))]), 1)
         return outcome
 

@@ -29,7 +29,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 from zlib import crc32
 
 from sparsefit.errors import InputError, SparsefitError, described, one_line
@@ -48,17 +48,9 @@ START_SECONDS = 180.0
 GARBLED = "the message channel of the worker process was written into"
 
 
-class Desk(Protocol):
-    """The object that lives in a worker and answers."""
-
-    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
-        """The answer to an ask, as JSON can hold it."""
-        ...
-
-
 @dataclass(frozen=True)
 class Ask:
-    """One thing that a worker is to do within `limit` seconds [s] on the wall.
+    """A method of a desk that a worker is to call within `limit` seconds [s] on the wall.
 
     desk: which process of several is asked, so that code of others shares none with ours; timed:
     whether the answer tells its seconds.
@@ -78,7 +70,7 @@ class Answer:
     status: "ok", with its content; "error" of the code that was asked; "timeout" or "crashed" where
     the process was killed at its limit or died, with the reason. wall, cpu: seconds [s] by the
     parent's clock, the second of the process and of all that it started. started: whether the
-    process ever began to answer; by_signal: whether the guardian was killed from outside.
+    process ever began to answer.
     """
 
     status: str
@@ -87,7 +79,6 @@ class Answer:
     wall: float = math.nan
     cpu: float = math.nan
     started: bool = True
-    by_signal: bool = False
 
     @property
     def lost(self) -> bool:
@@ -120,7 +111,7 @@ def unpacked(line: bytes) -> dict[str, Any]:
 def serve(
     asks: BinaryIO,
     answers: int,
-    make: Callable[..., Desk],
+    make: Callable[..., object],
     arguments: tuple[Any, ...],
     memory: float,
 ) -> None:
@@ -139,7 +130,8 @@ def serve(
                 desk = make(*arguments)
                 line = packed({"number": 0, "answer": {}})
             else:
-                line = packed({"number": number, "answer": desk.answer(verb, **content)})
+                answer = getattr(desk, verb)(**content)
+                line = packed({"number": number, "answer": {} if answer is None else answer})
         except MemoryError as error:
             gc.collect()
             line = packed({"number": number, "error": f"memory: {described(error)}"})
@@ -198,7 +190,7 @@ class Worker:
 
     @classmethod
     def start(
-        cls, make: Callable[..., Desk], arguments: tuple[Any, ...], *, memory: float = math.inf
+        cls, make: Callable[..., object], arguments: tuple[Any, ...], *, memory: float = math.inf
     ) -> Worker:
         """A new process in which ``make(*arguments)`` answers."""
         theirs, asks = os.pipe()
@@ -291,11 +283,11 @@ class Worker:
         if number > 0:
             name = signal.Signals(number).name if number in signal.valid_signals() else number
             words = f"died of {name}{' (out of memory?)' if name == 'SIGKILL' else ''}"
-        return self._lost("crashed", f"the worker process {words}", by_signal=code < 0)
+        return self._lost("crashed", f"the worker process {words}")
 
-    def _lost(self, status: str, reason: str, *, by_signal: bool = False) -> Answer:
+    def _lost(self, status: str, reason: str) -> Answer:
         self.close()
-        return Answer(status, reason, started=self.started, by_signal=by_signal)
+        return Answer(status, reason, started=self.started)
 
     def wait(self, ask: Ask) -> Answer:
         """The answer to an ask, waited for."""
@@ -354,10 +346,10 @@ def resident(name: str = "VmHWM") -> float | None:
 class _Caller:
     """The desk of `in_child`."""
 
-    def answer(self, verb: str, **content: Any) -> Mapping[str, Any]:
+    def call(self, work: Callable[..., Any], arguments: Sequence[Any]) -> Mapping[str, Any]:
         """The value of a function."""
         try:
-            return {"value": content["work"](*content["arguments"])}
+            return {"value": work(*arguments)}
         except SparsefitError as error:
             return {"refused": one_line(str(error))}
 

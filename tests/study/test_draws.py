@@ -186,8 +186,7 @@ def test_every_log_is_cut_into_whole_pieces_of_each_length(folder, flight):
 def test_cases_of_logs_have_an_estimate_and_no_error(folder):
     study = load_logs(folder)
     desk = FlightDesk(study.definition)
-    answer = desk.answer("cases", unit=2, cells=[0])
-    (row,) = answer["rows"]
+    (row,) = desk.cases(2, [0])["rows"]
     assert study.experiment.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
     assert row[1] == "ok"
     assert read_body(row[3])[0]["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
@@ -233,7 +232,7 @@ def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
     assert flown.folder == study.folder / "on-board"
     assert flown.plan()["title"].tolist() == ["rms: best-scale"] * 2
     assert not set(flown.plan()["identity"]) & set(study.plan()["identity"])
-    (row,) = FlightDesk(flown.definition).answer("cases", unit=0, cells=[0])["rows"]
+    (row,) = FlightDesk(flown.definition).cases(0, [0])["rows"]
     assert row[1] == "unidentifiable"  # two seconds are few for a board
     alone = together(tmp_path, '[readout]\nmean_velocity = "paper"')
     with pytest.raises(InputError, match="no candidate can fly"):

@@ -13,12 +13,12 @@ import pytest
 import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.errors import InputError
-from sparsefit.study.clock import Repeats, Timing, median_interval
-from sparsefit.study.data_sets import DATASETS, drawn, read_data, read_public
+from sparsefit.study.arena import Repeats, median_interval
+from sparsefit.study.data_sets import DATASETS, Data, drawn, read_data, read_public
 from sparsefit.study.export import read_cases
 from sparsefit.study.holdout import cross_validated, recovered
-from sparsefit.study.keys import Generator
-from sparsefit.study.problem_desk import Rows, signs_of
+from sparsefit.study.keys import Clock, Generator
+from sparsefit.study.problem_desk import part_of, signs_of
 from sparsefit.study.worker import cpu_seconds
 from tests.study import solver_deeds
 
@@ -303,14 +303,14 @@ def test_files_are_bounded_before_they_are_unpacked(tmp_path):
 
 def test_each_repeat_is_the_same_problem_in_other_bytes(tmp_path):
     rng = np.random.default_rng(0)
-    rows = Rows(rng.standard_normal((30, 4)), rng.standard_normal((30, 2)), None, None)
-    part = rows.part(None, 3)
+    rows = Data(rng.standard_normal((30, 4)), rng.standard_normal((30, 2)))
+    part = part_of(rows, None, 3)
     assert not part.theta.flags.writeable
     assert not np.shares_memory(part.theta, rows.theta)
     np.testing.assert_array_equal(part.theta.T @ part.theta, rows.theta.T @ rows.theta)
     np.testing.assert_array_equal(part.theta.T @ part.target, -(rows.theta.T @ rows.target))
     assert (signs_of(30, 3)[0] == -1.0).any()
-    assert rows.part((2, 29), 0).theta.tolist() == rows.theta[[0, 1, 29]].tolist()
+    assert part_of(rows, (2, 29), 0).theta.tolist() == rows.theta[[0, 1, 29]].tolist()
 
 
 def test_held_out_errors_by_hand():
@@ -330,14 +330,14 @@ def test_a_median_is_known_by_order_statistics():
         hits += low <= math.log(2.0) <= high
     assert 0.93 < hits / 400 <= 1.0
     assert math.isnan(median_interval([1.0] * 5)[1])
-    repeats = Repeats()
-    repeats.note(Timing(0.1, 0.1), first=True)
-    assert repeats.timings == []
+    repeats, clock = Repeats(), Clock(repeats=9, seconds=60.0, precision=0.05)
+    repeats.note(0.1, 0.1, first=True)
+    assert repeats.columns(clock)["repeats"] == 0
     for wall in (1.0, 1.0, 1.01, 1.0, 1.0, 1.0):
-        assert not repeats.enough(9, 60.0, 0.05)
-        repeats.note(Timing(wall, 0.5), first=False)
-    assert repeats.enough(9, 60.0, 0.05)
-    assert repeats.disturbed
+        assert not repeats.enough(clock)
+        repeats.note(wall, 0.5, first=False)
+    assert repeats.enough(clock)
+    assert repeats.columns(clock)["disturbed"]
 
 
 def test_the_clock_of_a_process_is_its_cpu():
