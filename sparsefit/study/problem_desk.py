@@ -22,12 +22,13 @@ import dataclasses
 import gc
 import math
 import os
-import pickle
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from sparsefit import RegressionProblem, backends
 from sparsefit import path as certified_path
@@ -43,14 +44,31 @@ from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
 from sparsefit.study.data_sets import Data
 from sparsefit.study.worker import resident
 
+SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
 RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
 
 
-def loaded(file: str) -> Data:
-    """The arrays of a problem that the parent wrote."""
-    with open(file, "rb") as opened:
-        data: Data = pickle.load(opened)
-    return data
+def write_data(data: Data, file: Path) -> None:
+    """The rows of a problem in a file, for `read_rows`."""
+    content: dict[str, Any] = {"target": data.target, "samples": data.samples or 0}
+    if isinstance(data.theta, np.ndarray):
+        content["theta"] = data.theta
+    else:
+        content |= {name: getattr(data.theta, name) for name in SPARSE}
+    if data.groups is not None:
+        content["groups"] = np.unique(data.groups, return_inverse=True)[1]
+    np.savez(file, **content)
+
+
+def read_rows(file: str) -> Data:
+    """The rows of a problem that the parent wrote."""
+    with np.load(file, allow_pickle=False) as arrays:
+        theta: Any = arrays.get("theta")
+        if theta is None:
+            values, indices, starts, shape = (arrays[name] for name in SPARSE)
+            theta = csc_array((values, indices, starts), shape=tuple(shape))
+        samples = int(arrays["samples"]) or None
+        return Data(theta, arrays["target"], arrays.get("groups"), samples=samples)
 
 
 def problem_of(data: Data) -> RegressionProblem:
@@ -141,7 +159,7 @@ class SolverDesk:
         """Copy the rows of a file, or small ones, to be solved next; the memory before that."""
         if self._data is None or self._data[0] != file:
             small = small_problem()
-            rows = loaded(file) if file else Data(small.theta, small.target, small.groups)
+            rows = read_rows(file) if file else Data(small.theta, small.target, small.groups)
             self._data = (file, rows)
         chosen = self._design.contenders[contender]
         problem = problem_of(part_of(self._data[1], without, seed))
@@ -189,7 +207,7 @@ class JudgeDesk:
     def verdict(self, file: str, contender: int, weights: str) -> Mapping[str, Any]:
         """The verdict on the weights of a contender on the problem in a file."""
         if file != self._file:
-            self._file, self._problem, self._bounds = file, problem_of(loaded(file)), {}
+            self._file, self._problem, self._bounds = file, problem_of(read_rows(file)), {}
         kind, gap, excess = self._judged(self._design.contenders[contender], np.load(weights))
         return {"kind": kind, "gap": gap, "excess": excess}
 

@@ -9,10 +9,9 @@ a solver also fits parts of the rows, and is judged by the rest.
 from __future__ import annotations
 
 import os
-import pickle
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from sparsefit.study.contenders import Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.manifest import code_version, processor, version_of, versions
 from sparsefit.study.plan import Asking, Batch, Experiment
-from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
+from sparsefit.study.problem_desk import JudgeDesk, SolverDesk, write_data
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 
 ON = " on "  # between the code and the machine
@@ -144,13 +143,9 @@ class ProblemExperiment(Experiment):
 
     def run(self, batch: Batch) -> Asking[None]:
         """Judge each case, time all by turns, then hold rows out."""
-        data = self._data[batch.unit]
-        file = Path(self._home.name) / f"{batch.unit}.problem"
+        data, file = self._data[batch.unit], Path(self._home.name) / f"{batch.unit}.npz"
         if not file.exists():
-            labels = data.groups
-            groups = None if labels is None else np.unique(labels, return_inverse=True)[1]
-            with file.open("wb") as opened:
-                pickle.dump(replace(data, groups=groups, truth=None, test=None), opened, protocol=5)
+            write_data(data, file)
         yield from Arena(self.design, batch.unit, data, file, self._crew).run(batch.cells)
 
     def end(self) -> None:
