@@ -71,9 +71,10 @@ def read_rows(file: str) -> Data:
         return Data(theta, arrays["target"], arrays.get("groups"), samples=samples)
 
 
-def problem_of(data: Data) -> RegressionProblem:
-    """The regression problem of these rows."""
-    problem = RegressionProblem.from_arrays(data.theta, data.target, data.groups)
+def problem_of(data: Data, *, partial: bool = False) -> RegressionProblem:
+    """The regression problem of these rows; partial: where others of it are left out."""
+    arrays = (data.theta, data.target, data.groups)
+    problem = RegressionProblem.from_arrays(*arrays, partial=partial)
     if data.samples is None:
         return problem
     return dataclasses.replace(problem, sample_count=data.samples)
@@ -162,7 +163,8 @@ class SolverDesk:
             rows = read_rows(file) if file else Data(small.theta, small.target, small.groups)
             self._data = (file, rows)
         chosen = self._design.contenders[contender]
-        problem = problem_of(part_of(self._data[1], without, seed))
+        part = part_of(self._data[1], without, seed)
+        problem = problem_of(part, partial=without is not None)
         self._work = (chosen, problem, self._design.fractions, tolerance)
         self._into = np.lib.format.open_memmap(weights, mode="r+") if weights else None
         memory = _peak_from_here()
