@@ -1,20 +1,18 @@
 """Flight recorders of gliders (IGC), read by aerofiles: fixes in longitude and latitude.
 
-B records: time in UTC, to a second or, with the extension TDS, finer; positions to a thousandth of
-a minute of arc, 1.9 m, or with LAD and LOD finer (FAI, Technical Specification for GNSS Flight
-Recorders, appendix A). They become metres on a local plane, x east and y north.
+B records: time in UTC, to a second; positions to a thousandth of a minute of arc, 1.9 m (FAI,
+Technical Specification for GNSS Flight Recorders, appendix A). They become metres on a local plane,
+x east and y north.
 """
 
 from __future__ import annotations
 
 import io
-from datetime import timedelta
 from importlib import import_module
 from typing import BinaryIO
 
 import numpy as np
 
-from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.logs.flight_table import POSITIONS, FlightTable
 from sparsefit.logs.layout import Layout
@@ -38,8 +36,8 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         igc = import_module("aerofiles.igc")
     except ImportError:
         raise MissingExtra("IGC files need aerofiles: pip install 'sparsefit[logs]'") from None
-    try:  # of several fixes in a second one is read, unless their times differ in a fraction
-        read = igc.Reader(skip_duplicates="TDS" not in text).read(io.StringIO(text))
+    try:
+        read = igc.Reader(skip_duplicates=True).read(io.StringIO(text))
     except Exception as error:  # what aerofiles makes of a foreign file may be anything
         if isinstance(error, KeyError) and "utc_date" in str(error):
             words = "no date (HFDTE record) before the first fix"
@@ -50,32 +48,14 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     valid = [fix for fix in fixes if fix["validity"] == "A"]  # three-dimensional
     if not valid:
         raise InputError(f"none of {len(fixes)} fixes is valid; give a recording of a flight")
-    digits = {
-        extension["extension_type"]: extension["bytes"][1] - extension["bytes"][0] + 1
-        for extension in read["fix_record_extensions"][1]
-    }
-
-    def finer(name: str, places: int) -> Array:
-        """The decimals beyond ``places`` that an extension holds (m,); zeros without it."""
-        scale = 10.0 ** -(places + digits.get(name, 0))
-        decimals: Array = scale * np.array([fix.get(name, 0) for fix in valid], dtype=np.float64)
-        return decimals
-
-    start = valid[0]["datetime"]
-    time = np.array([(fix["datetime"] - start).total_seconds() for fix in valid]) + finer("TDS", 0)
-    degrees = []
-    for name, extension in (("lon", "LOD"), ("lat", "LAD")):
-        whole = np.array([fix[name] for fix in valid])
-        degrees.append(whole + np.sign(whole) * finer(extension, 3) / 60.0)
-    plane = plane_of(degrees[0], degrees[1], ("longitude", "latitude"), layout.origin)
-    notes = [f"fixes from {start:%Y-%m-%d %H:%M:%S} UTC", plane.words]
-    if "LAD" not in digits:
-        notes.append("positions are rounded to 1.9 m")
+    epoch = valid[0]["datetime"]
+    time = np.array([(fix["datetime"] - epoch).total_seconds() for fix in valid])
+    longitude, latitude = (np.array([fix[name] for fix in valid]) for name in ("lon", "lat"))
+    plane = plane_of(longitude, latitude, ("longitude", "latitude"), layout.origin)
+    notes = [f"fixes from {epoch:%Y-%m-%d %H:%M:%S} UTC, rounded to 1.9 m", plane.words]
     if len(valid) < len(fixes):
         notes.append(f"{len(fixes) - len(valid)} of {len(fixes)} fixes are not valid, and left out")
     if damaged:
         notes.append("some records cannot be read, and are left out")
-    first = float(time[0])
-    columns = dict(zip(POSITIONS, (time - first, *plane.position.T), strict=True))
-    epoch = start + timedelta(seconds=first)
+    columns = dict(zip(POSITIONS, (time, *plane.position.T), strict=True))
     return FlightTable(columns, {}, None, "ENU", tuple(notes), plane.origin, epoch)

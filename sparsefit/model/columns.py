@@ -156,28 +156,23 @@ def rms_mean_velocity(weights: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CandidateFlow:
-    """A sum of weighted candidates and a constant; with free weights it may have a divergence.
+    """A sum of weighted candidates; with free weights it may have a divergence.
 
-    w(x) = sum_j C(k_j, x - x0) W_j + background, C the 8 candidates of a wavenumber (Eq. 17).
+    w(x) = sum_j C(k_j, x - x0) W_j, C the 8 candidates of a wavenumber (Eq. 17).
 
     Args:
         wavenumbers: k = pi/L (s,) [1/m].
         weights: W (s, 8, 2) [m/s].
         origin: x0 (2,) [m], where the phases of the candidates are 0.
-        background: a uniform velocity beside them [m/s], (x, y).
     """
 
     wavenumbers: Array
     weights: Array
     origin: Array
-    background: tuple[float, float] = (0.0, 0.0)
 
     def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
         """Return the flow velocity [m/s], shape (..., 2), at x, y [m]; t [s] changes nothing."""
-        east, north, _ = np.broadcast_arrays(
-            np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64), t
-        )
-        place = np.column_stack([east.ravel(), north.ravel()]) - self.origin
-        theta = candidate_columns(place, math.pi / self.wavenumbers)
-        total: Array = theta @ self.weights.reshape(-1, 2) + np.array(self.background)
-        return total.reshape(*east.shape, 2)
+        places = np.broadcast_arrays(*(np.asarray(given, dtype=np.float64) for given in (x, y, t)))
+        position = np.column_stack([places[0].ravel(), places[1].ravel()]) - self.origin
+        theta = candidate_columns(position, math.pi / self.wavenumbers)
+        return (theta @ self.weights.reshape(-1, 2)).reshape(*places[0].shape, 2)

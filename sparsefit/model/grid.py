@@ -23,7 +23,7 @@ Bounds = tuple[float, float]
 
 MAX_SCALES = 2_048  # k = 16 384 columns: Z'Z alone is 2 GiB
 MAX_WAVES = 2_048  # k = 4096 columns
-FEWEST = 2  # waves of a ring: cells are two
+STEP = 0.2  # m, the paper's
 
 
 def extent_of(position: Array) -> float:
@@ -107,42 +107,26 @@ class LengthScaleGrid:
         if self.count is not None:
             return self.count
         # A hair of tolerance: (12 - 1)/0.2 is 54.99999999999999 in binary.
-        steps = min((self.upper - self.lower) / self._step, 1e15)  # beyond any that can be held
+        steps = min((self.upper - self.lower) / (self.step or STEP), 1e15)  # beyond what is held
         return int(np.floor(steps + 1e-9)) + 1
-
-    @property
-    def _step(self) -> float:
-        return 0.2 if self.step is None else self.step
 
     @cached_property
     def scales(self) -> Array:
         """The length scales [m], ascending, shape (g,)."""
         if self.spacing == "wavenumber":
-            return np.ascontiguousarray(
-                1.0 / np.linspace(1.0 / self.upper, 1.0 / self.lower, self.size)[::-1]
-            )
+            inverse = np.linspace(1.0 / self.upper, 1.0 / self.lower, self.size)
+            return np.ascontiguousarray(1.0 / inverse[::-1])
         if self.count is not None:
             return np.linspace(self.lower, self.upper, self.count)
         # Rounding to 12 digits gives 4.2, not 4.200000000000001, as the scale that is reported.
-        return np.round(self.lower + self._step * np.arange(self.size), 12)
+        return np.round(self.lower + (self.step or STEP) * np.arange(self.size), 12)
 
 
-@dataclass(frozen=True, eq=False)
-class Rings:
-    """Wavevectors (w, 2) [1/m], ring by ring, and the ring of each (w,); scales (g,) [m] of rings.
-
-    Length scales ascend, so that the first ring is the one of the shortest waves.
-    """
-
-    wavevectors: Array
-    ring: IntArray
-    scales: Array
-
-
-def wave_rings(lower: float, upper: float, extent: float) -> Rings:
+def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArray, Array]:
     """The rings between two length scales [m] for a flight of that extent [m].
 
-    Rings, and the waves of a ring, are a lobe, pi / extent, apart.
+    Returns wavevectors (w, 2) [rad/m], ring by ring, the ring of each (w,), and the length scale of
+    each ring (g,) [m], ascending. Rings, and the waves of a ring, are a lobe, pi / extent, apart.
 
     Raises:
         InputError: if the flight does not move, or resolves more than `MAX_WAVES` waves.
@@ -156,7 +140,8 @@ def wave_rings(lower: float, upper: float, extent: float) -> Rings:
     if about <= 2 * MAX_WAVES:
         count = math.ceil((largest - least) / apart * (1 - 1e-12)) + 1
         sizes = np.linspace(largest, least, count)
-        waves = np.maximum(np.ceil(math.pi * sizes / apart * (1 - 1e-12)), FEWEST).astype(int)
+        # Two at least: cells are two waves.
+        waves = np.maximum(np.ceil(math.pi * sizes / apart * (1 - 1e-12)), 2).astype(int)
         about = float(waves.sum())
     if about > MAX_WAVES:
         raise InputError(
@@ -169,4 +154,4 @@ def wave_rings(lower: float, upper: float, extent: float) -> Rings:
     # Every other ring is half a step on, so that no direction is favoured.
     angle = math.pi * (place + 0.5 * (ring % 2)) / waves[ring]
     wavevectors = sizes[ring][:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return Rings(wavevectors, ring, math.sqrt(2.0) * math.pi / sizes)
+    return wavevectors, ring, math.sqrt(2.0) * math.pi / sizes

@@ -25,7 +25,16 @@ from sparsefit.flight.waves import WaveFlow
 from sparsefit.model.fitting import ShapeFit, descended, fitted, joined
 from sparsefit.model.scan import WaveScan
 from sparsefit.model.search import EXACT, Search, spectrum
-from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
+from sparsefit.model.shapes import (
+    AXIS,
+    PAIR,
+    RECTANGLE,
+    SQUARE,
+    Shape,
+    axis_cells,
+    free_waves,
+    read_cells,
+)
 from sparsefit.model.unknowns import read_vehicles
 
 CLOSE = 10.0  # of BIC, to the best of all: a rival
@@ -97,9 +106,8 @@ class Proposal:
     @property
     def length_scale(self) -> float:
         """L [m] of its two strongest waves."""
-        squares = np.sum(self.wavevectors**2, axis=1)
-        order = np.argsort(-squares * (self.cosine**2 + self.sine**2), kind="stable")[:2]
-        return math.pi * math.sqrt(2.0 / float(np.mean(squares[order])))
+        amplitudes = np.column_stack([self.cosine, self.sine])
+        return read_cells(self.wavevectors, amplitudes).length_scale
 
 
 class Ladder:

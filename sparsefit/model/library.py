@@ -145,13 +145,12 @@ class Library:
         """
         extent = extent_of(position)
         if self.family == "waves":
-            rings = wave_rings(self.grid.lower, self.grid.upper, extent)
-            k, wave = rings.wavevectors, np.repeat(np.arange(len(rings.ring)), 2)
+            k, ring, scales = wave_rings(self.grid.lower, self.grid.upper, extent)
+            wave, names = np.repeat(np.arange(len(k)), 2), wave_names(k)
             if self.groups == "wave":
-                scales = rings.scales[rings.ring]
-                return GridColumns("waves", k, wave, scales, wave_names(k))
-            ring, nested = np.repeat(rings.ring, 2), wave if self.groups == "nested" else None
-            return GridColumns("waves", k, ring, rings.scales, wave_names(k), nested)
+                return GridColumns("waves", k, wave, scales[ring], names)
+            nested = wave if self.groups == "nested" else None
+            return GridColumns("waves", k, np.repeat(ring, 2), scales, names, nested)
         scales = self.grid.resolving(extent).scales
         words = [f" (L = {scale:g} m)" for scale in scales.tolist()]
         names = tuple(name + scale for scale in words for name in CANDIDATES)
@@ -179,10 +178,21 @@ class Library:
         (`problem.compressed`): the same solutions and certificates, memory of k^2.
         """
         position = np.concatenate([samples.position for samples in flights])
-        if self.family == "cells":
-            _refuse_axes(position)
+        for axis, values in zip("xy", position.T, strict=True):
+            if self.family == "cells" and not values.any():
+                raise InputError(
+                    f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
+                    "are zero: no length scale can be told; leave that line"
+                )
+        if self.every > 1 and any(samples.averages for samples in flights):
+            raise InputError(
+                "library: 'every' thins samples, but the weak form has averages of its own; leave "
+                "it out, or use a larger window"
+            )
         columns = self.columns(position)
-        sources = [self._rows(samples) for samples in flights]
+        sources = [samples.source for samples in flights]
+        if self.every > 1:
+            sources = [samples.every(self.every) for samples in flights]
         targets = []
         for source, vehicle in zip(sources, vehicles, strict=True):
             response = self.response(source, vehicle)
@@ -229,24 +239,3 @@ class Library:
             columns.subgroups,
             columns.parameters,
         )
-
-    def _rows(self, samples: Samples) -> Samples:
-        """The rows of the regression: averages, or every so many-th sample."""
-        if self.every == 1:
-            return samples.source
-        if samples.averages:
-            raise InputError(
-                "library: 'every' thins samples, but the weak form has averages of its own; leave "
-                "it out, or use a larger window"
-            )
-        return samples.every(self.every)
-
-
-def _refuse_axes(position: Array) -> None:
-    """InputError where a flight stays on a line on which candidates are zero."""
-    for axis, values in zip("xy", position.T, strict=True):
-        if not values.any():
-            raise InputError(
-                f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
-                "are zero: no length scale can be told; leave that line"
-            )

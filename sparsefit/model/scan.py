@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -206,72 +207,62 @@ class WaveScan:
         return axis
 
     @cached_property
-    def _inside(self) -> Array:
+    def inside(self) -> Array:
+        """1 where a wavevector of the grid (n, n) is between the radii, else 0."""
         radius = np.hypot(self.axis[:, None], self.axis)
         inside: Array = ((radius >= self.radii[0]) & (radius <= self.radii[1])).astype(float)
         return inside
 
-    @property
+    @cached_property
     def count(self) -> float:
         """The wavevectors that the scan tells apart."""
-        return max(1.0, 0.5 * float(self._inside.sum()))
+        return max(1.0, 0.5 * float(self.inside.sum()))
 
     @cached_property
-    def _latest(self) -> list[tuple[Array, tuple[Array, Array]]]:
-        return []
+    def _kept(self) -> dict[str, Any]:
+        return {}  # of the last rows, as a fit is asked for twice, and the sums of no rows
 
     def gains(self, rest: Array) -> tuple[Array, Array]:
         """The fall of RSS by one wave (n, n) of rows (m, 2) [m/s], and its omega (n, n) [rad/s]."""
-        if not self._latest or self._latest[0][0] is not rest:  # a fit is asked for twice
-            self._latest[:] = [(rest, self._gains(rest))]
-        return self._latest[0][1]
+        if self._kept.get("rest") is not rest:
+            self._kept.update(rest=rest, gains=self._gains(rest))
+        gains: tuple[Array, Array] = self._kept["gains"]
+        return gains
 
     def _gains(self, rest: Array) -> tuple[Array, Array]:
         own = np.ones(len(self.place)) if self.weight is None else self.weight
         cuts = (np.array_split(part, self.pieces) for part in (self.place, rest, own))
-        total = np.zeros(1)
-        dimensions = len(self.halves)
+        total, dimensions = np.zeros(1), len(self.halves)
         for place, errors, weight in zip(*cuts, strict=True):
             nodes = (place - middle(place))[:, :dimensions] * (1.0, 1.0, -1.0)[:dimensions]
-            sums = FourierSums(nodes, self.steps[:dimensions], self.halves)
-            squares = weight * weight
+            sums, squares = FourierSums(nodes, self.steps[:dimensions], self.halves), weight**2
             count = float(squares.sum())
             constant = np.outer(weight, weight @ errors / count)
-            moved = weight[:, None] * (errors - constant)
-            load = sums.across(moved)
+            load = sums.across(weight[:, None] * (errors - constant))
             if self.pieces == 1 and dimensions == 2:
-                once, twice = self._means
-                total = gain(load, once, twice, count)
+                if "once" not in self._kept:
+                    self._kept.update(once=sums.of(squares) / count)
+                    self._kept.update(twice=sums.of(squares, 2) / count)
+                total = gain(load, self._kept["once"], self._kept["twice"], count)
             else:
                 total = total + (2.0 / count) * (load.real**2 + load.imag**2)
         if dimensions == 2:
-            return self._inside * total, np.zeros_like(total)
+            return self.inside * total, np.zeros_like(total)
         half = self.halves[2]
         omega = self.steps[2] * np.arange(-half, half + 1.0)
         radius = np.hypot(self.axis[:, None], self.axis)
         total = total * (np.abs(omega) <= (self.fastest * radius + self.steps[2])[..., None])
         best = total.argmax(axis=2)
         highest = np.take_along_axis(total, best[..., None], axis=2)[..., 0]
-        return self._inside * highest, omega[best]
-
-    @cached_property
-    def _means(self) -> tuple[ComplexArray, ComplexArray]:
-        own = np.ones(len(self.place)) if self.weight is None else self.weight
-        nodes = (self.place - middle(self.place))[:, :2]
-        sums = FourierSums(nodes, self.steps[:2], self.halves)
-        loads = own * own
-        return sums.of(loads) / loads.sum(), sums.of(loads, 2) / loads.sum()
+        return self.inside * highest, omega[best]
 
     def waves(self, gains: Array, most: int) -> Array:
         """The wavevectors (p, 2) [rad/m] of the highest peaks of gains, one of k and -k."""
-        half = len(gains) // 2
-        upper = np.where(np.arange(-half, half + 1) >= 0, gains, 0.0)  # of k_y >= 0
+        upper = np.where(self.axis >= 0, gains, 0.0)  # of k_y >= 0
         chosen: Array = self.axis[peaks(upper, most)]
         return chosen
 
     def squares(self, gains: Array, most: int) -> IntArray:
         """The places (p, 2) of the highest squares, two waves at right angles, one of four."""
-        half = len(gains) // 2
         crossed = gains + gains[::-1].T
-        rows = np.arange(-half, half + 1)
-        return peaks(np.where((rows[:, None] > 0) & (rows >= 0), crossed, 0.0), most)
+        return peaks(np.where((self.axis[:, None] > 0) & (self.axis >= 0), crossed, 0.0), most)

@@ -147,20 +147,31 @@ class WaveCells:
         length_scale: L [m].
         length_scales: (L_x, L_y) [m] in the cells' own axes, NaN of one wave.
         heading: by which these are turned counter-clockwise [rad], in (-pi/4, pi/4].
-        waves: the places of the waves of the flow.
     """
 
     mean_velocity: float
     length_scale: float
-    length_scales: tuple[float, float]
-    heading: float
-    waves: tuple[int, ...]
+    length_scales: tuple[float, float] = (math.nan, math.nan)
+    heading: float = math.nan
 
 
 def read_cells(wavevectors: Array, amplitudes: Array) -> WaveCells:
     """The fastest flow of waves k (j, 2) [rad/m] with amplitudes a, b (j, 2) [m^2/s]."""
-    every = [_read(wavevectors, amplitudes, part) for part in flows_of(wavevectors, amplitudes)]
-    return max(every, key=lambda cells: cells.mean_velocity)
+    squares = np.sum(wavevectors**2, axis=1)
+    powers = squares * np.sum(amplitudes**2, axis=1)
+    part = max(flows_of(wavevectors, amplitudes), key=lambda part: float(powers[part].sum()))
+    two = np.array(part)[np.sort(np.argsort(-powers[part], kind="stable")[:2])]
+    speed = math.sqrt(float(powers[part].sum()))
+    scale = math.pi * math.sqrt(2.0 / float(squares[two].mean()))
+    if len(two) < 2:
+        return WaveCells(speed, scale)
+    first, second = wavevectors[two]
+    both = first / np.hypot(*first) + second / np.hypot(*second)
+    heading = math.atan2(both[1], both[0])
+    quarters = round(heading / (0.5 * math.pi))
+    x, y = (2 * math.pi / math.hypot(*side) for side in (first + second, first - second))
+    sides = (y, x) if quarters % 2 else (x, y)
+    return WaveCells(speed, scale, sides, heading - 0.5 * math.pi * quarters)
 
 
 def flows_of(wavevectors: Array, amplitudes: Array) -> list[list[int]]:
@@ -181,25 +192,8 @@ def flows_of(wavevectors: Array, amplitudes: Array) -> list[list[int]]:
         turned = np.abs(np.sum(along[first] * along[second], axis=1))
         return float(np.sum(apart + 0.1 * turned))
 
-    pairings = [np.array([[0, j], sorted({1, 2, 3} - {j})]) for j in (1, 2, 3)]
-    best = min(pairings, key=unlike)
+    best = min((np.array(own) for own in ([[0, 1], [2, 3]], [[0, 2], [1, 3]], [[0, 3], [1, 2]])),
+               key=unlike)  # fmt: skip
     if np.abs(np.diff(size[best], axis=1)).max() > 0.2:  # waves that differ by more make no cells
         return [[0, 1, 2, 3]]
     return [list(map(int, pair)) for pair in best]
-
-
-def _read(wavevectors: Array, amplitudes: Array, part: list[int]) -> WaveCells:
-    squares = np.sum(wavevectors[part] ** 2, axis=1)
-    powers = squares * np.sum(amplitudes[part] ** 2, axis=1)
-    two = np.sort(np.argsort(-powers, kind="stable")[:2])
-    speed = math.sqrt(float(powers.sum()))
-    scale = math.pi * math.sqrt(2.0 / float(squares[two].mean()))
-    if len(two) < 2:
-        return WaveCells(speed, scale, (math.nan, math.nan), math.nan, tuple(part))
-    first, second = wavevectors[part][two]
-    both = first / np.hypot(*first) + second / np.hypot(*second)
-    heading = math.atan2(both[1], both[0])
-    quarters = round(heading / (0.5 * math.pi))
-    x, y = (2 * math.pi / math.hypot(*side) for side in (first + second, first - second))
-    sides = (y, x) if quarters % 2 else (x, y)
-    return WaveCells(speed, scale, sides, heading - 0.5 * math.pi * quarters, tuple(part))

@@ -67,18 +67,13 @@ def ulog_of(flight, *, valid=None, start=20_000_000, landed=None, told=False):
     return topics if told else ulog(topics)
 
 
-def igc(times, latitude, longitude, *, start=datetime(2024, 6, 1, 23, 59, 30), fine=False):
-    """The text of a recorder's file; fine: with two more decimals of a minute, and tenths of s."""
+def igc(times, latitude, longitude, *, start=datetime(2024, 6, 1, 23, 59, 30)):
+    """The text of a recorder's file."""
     lines = ["AXXX001 sparsefit", f"HFDTE{start:%d%m%y}"]
-    lines += ["I033637LAD3839LOD4040TDS"] if fine else []
     for seconds, *degrees in zip(times, latitude, longitude, strict=True):
-        moment = start + timedelta(seconds=seconds)
-        more, told = "", ""
+        told = ""
         for value, width, signs in zip(degrees, (2, 3), ("NS", "EW"), strict=True):
-            units = round(abs(value) * 60 * 10**5) if fine else round(abs(value) * 60 * 10**3) * 100
-            whole, rest = divmod(units, 100)
-            told += f"{whole // 60000:0{width}d}{whole % 60000:05d}{signs[int(value < 0)]}"
-            more += f"{rest:02d}"
-        more = more + f"{moment.microsecond // 100_000}" if fine else ""
-        lines.append(f"B{moment:%H%M%S}{told}A0050000512{more}")
+            units = round(abs(value) * 60 * 10**3)
+            told += f"{units // 60000:0{width}d}{units % 60000:05d}{signs[int(value < 0)]}"
+        lines.append(f"B{start + timedelta(seconds=seconds):%H%M%S}{told}A0050000512")
     return "\r\n".join([*lines, "GABCDEF"]) + "\r\n"

@@ -140,39 +140,33 @@ def circling():
     return time, latitude, longitude, plane
 
 
-@pytest.mark.parametrize(("fine", "grain"), [(False, 1.0), (True, 0.01)])
-def test_a_gliders_recording_is_read_on_a_plane_past_midnight(tmp_path, fine, grain):
+def test_a_gliders_recording_is_read_on_a_plane_past_midnight(tmp_path):
     time, latitude, longitude, plane = circling()
-    path = write(tmp_path, "log.igc", igc(time, latitude, longitude, fine=fine))
+    path = write(tmp_path, "log.igc", igc(time, latitude, longitude))
     flight = sf.read_flight(path, vehicle=VEHICLE)
     np.testing.assert_array_equal(flight.time, time)
     moved = plane - plane[0]
-    np.testing.assert_allclose(flight.position - flight.position[0], moved, atol=2 * grain)
-    assert np.abs(flight.position - flight.position[0] - moved).max() > 0.1 * grain
+    np.testing.assert_allclose(flight.position - flight.position[0], moved, atol=2.0)
     assert (flight.frame, flight.velocity_measured) == ("ENU", False)
-    notes = read_table(path).notes
-    assert notes[0] == "fixes from 2024-06-01 23:59:30 UTC"
-    assert ("positions are rounded to 1.9 m" in notes) is not fine
+    assert read_table(path).notes[0] == "fixes from 2024-06-01 23:59:30 UTC, rounded to 1.9 m"
 
 
-def test_southern_and_western_degrees_and_tenths_of_seconds(tmp_path):
-    text = igc([0.0, 0.2, 0.4], [-33.1, -33.11, -33.12], [-70.1, -70.1, -70.1],
-               start=datetime(2024, 1, 1), fine=True)  # fmt: skip
+def test_southern_and_western_degrees(tmp_path):
+    text = igc([0.0, 1.0, 2.0], [-33.1, -33.11, -33.12], [-70.1, -70.1, -70.1])
     flight = sf.read_flight(write(tmp_path, "log.igc", text), vehicle=VEHICLE)
-    np.testing.assert_allclose(flight.time, [0.0, 0.2, 0.4], atol=1e-12)
     np.testing.assert_allclose(np.diff(flight.position[:, 1]), -1109.0, rtol=1e-3)  # north
 
 
 def test_two_recordings_share_a_plane_and_a_clock(tmp_path):
     time, latitude, longitude, _ = circling()
     late = datetime(2024, 6, 2, 1, 0, 0)
-    first = read_table(write(tmp_path, "a.igc", igc(time, latitude, longitude, fine=True)))
-    path = write(tmp_path, "b.igc", igc(time, latitude, longitude + 0.01, start=late, fine=True))
+    first = read_table(write(tmp_path, "a.igc", igc(time, latitude, longitude)))
+    path = write(tmp_path, "b.igc", igc(time, latitude, longitude + 0.01, start=late))
     second = read_table(path, Layout.of(None, first.origin, first.epoch)).flight(VEHICLE)
     np.testing.assert_allclose(second.time, time + 3630.0)
     east = Proj(proj="aeqd", lon_0=8, lat_0=47, ellps="WGS84")(8.01, 47.0)[0]
     shift = second.position - first.flight(VEHICLE).position
-    np.testing.assert_allclose(shift, np.tile([east, 0.0], (120, 1)), atol=0.1)
+    np.testing.assert_allclose(shift, np.tile([east, 0.0], (120, 1)), atol=4.0)
 
 
 @pytest.mark.parametrize(
