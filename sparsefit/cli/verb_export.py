@@ -21,7 +21,6 @@ OPTIONS = (
     Option("--c", "folder to write", "DIR", extra={"required": True, "dest": "folder"}),
     Option("--flight", "recorded flight of the test; default: a simulated one", "FILE"),
     Option("--float", "numbers of 4 bytes in place of 8", read=None),
-    Option("--compiler", "that measures the flash; default: cc, where there is one", "CC"),
     Option("--force", "write into DIR though it has files", read=None),
 )
 
@@ -44,14 +43,14 @@ def run(args: argparse.Namespace) -> int:
     flight = None if args.flight is None else read_flight(args.flight)
     source = Path(args.estimator).name
     real: Literal["double", "float"] = "float" if args.float else "double"
-    content = package(estimator, real, flight, source=source, compiler=args.compiler)
+    content = package(estimator, real, flight, source=source)
     for path, file in content.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / path, file)
     grid = estimator.library.grid
     print(f"{one_line(args.folder)}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/")
     print(f"       {grid.lower:g} to {grid.upper:g} m, {real}")
-    costs = ("RAM ", "flas", "stac", "work", "    ")
+    costs = ("RAM ", "flas", "work", "    ")
     readme = content["README.md"].decode().splitlines()
     print("\n".join(line[4:] for line in readme if line[4:8] in costs))
     return 0

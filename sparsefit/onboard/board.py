@@ -11,9 +11,8 @@ compiles; this reference runs where there is no compiler, and a replay holds the
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, field
 from importlib import import_module
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from sparsefit.onboard.sweep import (
     PEAKS,
     SPEED,
     UNEVEN,
+    BoardAnswer,
     BoardDoubt,
     BoardSettings,
     M,
@@ -40,7 +40,6 @@ try:
 except ImportError:  # where there is no compiler
     CompiledFlow = None
 
-Pair: TypeAlias = "tuple[float, float] | Array"
 LEVELS = np.array([0.003, 0.02, 0.08, 0.3])  # of the disturbance, over U0
 RATE, FLOOR = 2.0, 0.1  # of the disturbance [1/s], and its share that is white
 GATE, FADE, HORIZON, SETTLED, ANNEAL = 25.0, 0.998, 100.0, 64.0, 8.0
@@ -48,43 +47,6 @@ WALK = np.array([0.002] * 4 + [0.0005] * 2)  # of amplitudes and wavevectors, ov
 LARGEST, GAP = 1e7, 20.0
 N, FLOW = 12, slice(6, 12)
 OK, GAP_TAKEN, BAD_SAMPLE, BAD_TIME = 0, 3, 4, 5  # of `update`, as `sf_status` of the C
-MISFITS = (BoardDoubt.INNOVATIONS, BoardDoubt.SHAPE, BoardDoubt.TURNED)
-
-
-@dataclass(frozen=True, eq=False)
-class BoardAnswer:
-    """The answer of a board, as `sf_answer` of the C.
-
-    Args:
-        doubt: none where the answer is ok.
-        samples: number of samples taken so far.
-        value: U0 [m/s], L [m], L/U0 [s], heading [rad], (4,); NaN where nothing is followed.
-        error: their standard errors (4,).
-        innovation: mean square of the normalised innovations.
-        correlation: their mean product from one sample to the next.
-        disturbance: its level, over U0.
-        unexplained: share of the averaged flow velocity's squares that the flow leaves.
-        rival: L of the rival [m], where that is the doubt.
-        flow: a, b, a, b, kx, ky, and the place that phases count from [m], (8,).
-    """
-
-    doubt: BoardDoubt
-    samples: int
-    value: Array
-    error: Array
-    innovation: float = 0.0
-    correlation: float = 0.0
-    disturbance: float = 0.0
-    unexplained: float = 0.0
-    rival: float = 0.0
-    flow: Array = field(default_factory=lambda: np.zeros(8))
-
-    @property
-    def status(self) -> str:
-        """``ok``, ``misfit`` or ``unidentifiable``."""
-        if self.doubt in MISFITS:
-            return "misfit"
-        return "unidentifiable" if self.doubt else "ok"
 
 
 class Board:
@@ -113,7 +75,7 @@ class Board:
         return self.sweep.memory.nbytes + filters + PEAKS * 8 * 64
 
     def update(
-        self, time_ns: int, x: float, y: float, vx: float, vy: float, measured: Pair | None = None
+        self, time_ns: int, x: float, y: float, vx: float, vy: float, measured: Any = None
     ) -> int:
         """Take a sample at a time [ns]; the status, as `sf_update` of the C."""
         z = np.array([x, y, vx, vy], dtype=np.float64)
@@ -385,14 +347,4 @@ def board_of(settings: BoardSettings, *, compiled: bool = True) -> Any:
     """Return the compiled board, or `Board` where there is none or it is not wanted."""
     if CompiledFlow is None or not compiled:
         return Board(settings)
-    return CompiledFlow(astuple(settings))
-
-
-def answer_of(board: Any) -> BoardAnswer:
-    """Return the answer of a board of either kind."""
-    if isinstance(board, Board):
-        return board.estimate()
-    doubt, samples, values, errors, tests, flow = board.estimate()
-    figures: tuple[float, float, float, float, float] = tests
-    arrays = (np.array(values), np.array(errors))
-    return BoardAnswer(BoardDoubt(doubt), samples, *arrays, *figures, np.array(flow))
+    return CompiledFlow(settings)

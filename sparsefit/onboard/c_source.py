@@ -7,9 +7,9 @@ test replays a flight, and compares with the same recurrence in Python (`sparsef
 from __future__ import annotations
 
 import math
-import re
-import shutil
+import os
 import subprocess
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,10 +23,9 @@ from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file
 from sparsefit.logs.flight_table import FlightTable
-from sparsefit.onboard.board import LEVELS, answer_of, board_of
+from sparsefit.onboard.board import LEVELS, board_of
 from sparsefit.onboard.online import board_settings, refusal, samples_of
 from sparsefit.onboard.sweep import PEAKS, ROWS
-from sparsefit.whole_file import write_whole
 
 Real = Literal["double", "float"]
 TOLERANCES: dict[Real, float] = {"double": 1e-6, "float": 1e-3}
@@ -34,7 +33,7 @@ EVERY = 50  # samples between the answers of the reference
 CLOCK = 400e6  # Hz of the processor that the example has in mind
 CYCLES = {"float": (3, 20, 120), "double": (6, 40, 400)}  # of a sum or product, a quotient, a sine
 FILES = ("sf_flow.h", "sf_flow.c", "CMakeLists.txt", "README.md", "test/replay.c")
-_NAMES = ("response_time", "drag_coefficient", "thrust_x", "thrust_y", "thrust_scale")
+_VEHICLE = ("response_time", "drag_coefficient", "thrust_x", "thrust_y", "thrust_scale")
 
 
 def ram(real: Real) -> int:
@@ -51,71 +50,46 @@ def work(candidates: int) -> dict[str, tuple[int, int, int]]:
     at so many candidates.
     """
     motion, covariance, corrections = 4 * 2 * 60, 2 * (6 + 6) * 144, 4 * (12 + 2 * 78)
-    filters = len(LEVELS)
+    sums, filters = motion + covariance + corrections + 300, len(LEVELS)
     return {
-        "following": (
-            filters * (motion + covariance + corrections + 300), filters * 60, filters * 30,
-        ),
-        "searching": (
-            candidates * ROWS * 2 * 18 + 4 * ROWS, candidates * 12, candidates * ROWS * 4,
-        ),
-    }  # fmt: skip
+        "following": (filters * sums, filters * 60, filters * 30),
+        "searching": (candidates * ROWS * 36 + 4 * ROWS, candidates * 12, candidates * ROWS * 4),
+    }
 
 
-def microseconds(counts: tuple[int, int, int], real: Real) -> float:
-    """Return the time [us] of so many operations at `CLOCK` with the assumed cycles."""
-    return sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK * 1e6
-
-
-def footprint(content: dict[str, bytes], compiler: str | None) -> list[str]:
-    """Return flash and stack of the C compiled for size, in lines; none where there is no compiler.
-
-    Raises:
-        InputError: where a named one is missing or refuses the source.
-    """
-    command = (compiler or "cc").split()
-    if not shutil.which(command[0]):
-        if compiler:
-            raise InputError(f"--compiler {compiler}: there is no such program; check its name")
-        return []
-    flags = ("-std=c99", "-Os", "-fstack-usage", "-c", "sf_flow.c", "-o", "sf_flow.o")
+def flash_of(content: dict[str, bytes]) -> str:
+    """Return the flash that the C takes, compiled for size by ``$CC`` or ``cc``, in words."""
+    command = os.environ.get("CC", "cc").split()
+    size = f"{command[0][:-3]}size" if command[0].endswith("-gcc") else "size"
     with TemporaryDirectory() as folder:
-
-        def run(*words: str) -> subprocess.CompletedProcess[str]:
-            return subprocess.run(
-                words, cwd=folder, capture_output=True, text=True, check=False, timeout=120
-            )
-
         for name in ("sf_flow.h", "sf_flow.c"):
-            write_whole(Path(folder) / name, content[name])
-        result = run(*command, *flags)
-        if result.returncode and compiler:
-            first = one_line(result.stderr.strip().partition("\n")[0])
-            raise InputError(f"--compiler {compiler}: {first or 'it failed'}; is it for C99?")
-        size = re.sub(r"(gcc|clang|cc)$", "size", command[0])
-        size = size if size != command[0] and shutil.which(size) else "size"
-        if result.returncode or not shutil.which(size):
-            return []
-        flash = run(size, "sf_flow.o").stdout.splitlines()[1].split()[0]
-        frames = "\n".join(file.read_text() for file in Path(folder).glob("*.su")).split("\n")
-        stack = sum(int(line.split("\t")[1]) for line in frames if line)
-        version = one_line(run(*command, "--version").stdout.partition("\n")[0]) or command[0]
-    return [
-        f"flash  {flash} bytes by {version}, -Os, without math.h",
-        f"stack  at most {stack} bytes: all frames together",
-    ]
+            (Path(folder) / name).write_bytes(content[name])
+        try:
+            lines = [
+                subprocess.check_output(
+                    words, cwd=folder, text=True, stderr=subprocess.DEVNULL, timeout=120
+                ).splitlines()
+                for words in (
+                    (*command, "-std=c99", "-Os", "-c", "sf_flow.c", "-o", "sf_flow.o"),
+                    (size, "sf_flow.o"),
+                    (*command, "--version"),
+                )
+            ]
+        except (OSError, subprocess.SubprocessError):
+            return "not measured: no compiler was here"
+    return f"{lines[1][1].split()[0]} bytes by {one_line(lines[2][0])}, -Os, without math.h"
 
 
-def costs(real: Real, candidates: int, measured: list[str]) -> list[str]:
-    """Return RAM, flash, stack, work and time in lines for people."""
-    lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`"]
-    lines += measured or ["flash  not measured: no compiler was here"]
+def costs(real: Real, candidates: int, flash: str) -> list[str]:
+    """Return RAM, flash, work and time in lines for people."""
+    lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`", f"flash  {flash}"]
     for name, counts in work(candidates).items():
         sums, quotients, functions = counts
+        seconds = sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK
         lines += [
             f"work   {name}: {sums} sums and products, {quotients} quotients and roots, "
             f"{functions} sines,",
-            f"       cosines, logs a sample, at most: {microseconds(counts, real):.0f} us at "
+            f"       cosines, logs a sample, at most: {1e6 * seconds:.0f} us at "
             f"{CLOCK / 1e6:.0f} MHz (cycles assumed, not measured)",
         ]
     return lines
@@ -126,11 +100,10 @@ def example_flight(estimator: Estimator, seed: int = 7) -> Flight:
     grid = estimator.library.grid
     flow = CellularFlow(15.0, min(math.sqrt(grid.lower * grid.upper), 4.0 * grid.lower))
     tau = 1.5 * flow.timescale
-    vehicle = PointMassVehicle(tau, (3.0 / tau, 2.0 / tau))
     step = max(1, round(1e6 * 0.06 * flow.timescale)) * 1e-6
     return simulate_flight(
         flow,
-        vehicle,
+        PointMassVehicle(tau, (3.0 / tau, 2.0 / tau)),
         duration=1200 * step,
         sample_rate=1 / step,
         seed=seed,
@@ -139,23 +112,21 @@ def example_flight(estimator: Estimator, seed: int = 7) -> Flight:
     )
 
 
-def reference(estimator: Estimator, flight: Flight) -> list[str]:
-    """Return the lines of the test's reference: every 50th answer of the recurrence in Python."""
+def reference(estimator: Estimator, flight: Flight) -> str:
+    """Return the test's reference, a CSV: every 50th answer of the recurrence in Python."""
     board = board_of(board_settings(estimator, flight.vehicle), compiled=False)
-    lines = [
+    text = (
         "sample,doubt,mean_velocity,length_scale,timescale,heading,mean_velocity_error,"
-        "length_scale_error,innovation,unexplained"
-    ]
+        "length_scale_error,innovation,unexplained\n"
+    )
     for number, (time, place, speed, *push) in enumerate(samples_of(flight), 1):
         clock = math.floor((time - float(flight.time[0])) * 1e9 + 0.5)
         board.update(clock, *place, *speed, *push)
         if number % EVERY == 0:
-            answer = answer_of(board)
+            answer = board.estimate()
             values = (*answer.value, *answer.error[:2], answer.innovation, answer.unexplained)
-            lines.append(
-                ",".join([str(number), str(int(answer.doubt)), *map(repr, map(float, values))])
-            )
-    return lines
+            text += f"{number},{int(answer.doubt)},{','.join(repr(float(own)) for own in values)}\n"
+    return text
 
 
 def package(
@@ -164,7 +135,6 @@ def package(
     flight: Flight | None = None,
     *,
     source: str = "an estimator",
-    compiler: str | None = None,
 ) -> dict[str, bytes]:
     """Return the files of the C by their paths: source, build, README and test.
 
@@ -173,25 +143,24 @@ def package(
         real: the C type of all numbers.
         flight: of the test; by default one that is simulated.
         source: what the estimator was read from, for the header.
-        compiler: that measures flash and stack; by default ``cc`` where there is one.
 
     Raises:
-        InputError: where the estimator cannot run on board, or a named compiler fails.
+        InputError: where the estimator cannot run on board.
     """
     one_of("C type", real, TOLERANCES)
     if reason := refusal(estimator):
         raise InputError(reason)
     flown = example_flight(estimator) if flight is None else flight
     settings = board_settings(estimator, flown.vehicle)
-    searched = {name: getattr(settings, name) for name in settings.__dataclass_fields__
-                if name not in _NAMES}  # fmt: skip
-    macro = ", ".join(f".{name} = {value!r}" for name, value in searched.items())
-    macro = macro.replace(", .precision", ", \\\n    .precision")
+    searched = [
+        f".{name} = {value!r}" for name, value in asdict(settings).items() if name not in _VEHICLE
+    ]
+    macro = f"{', '.join(searched[:2])}, \\\n    {', '.join(searched[2:])}"
     origin = f"Made by sparsefit {__version__} from {one_line(source, 50).replace('*/', '')}."
     folder = files("sparsefit.onboard") / "templates"
 
-    def filled(measured: list[str]) -> dict[str, bytes]:
-        lines = costs(real, settings.candidates, measured)
+    def filled(flash: str) -> dict[str, bytes]:
+        lines = costs(real, settings.candidates, flash)
         marks = {
             "#define SF_REAL double": f"#define SF_REAL {real}",
             "@origin@": origin,
@@ -209,7 +178,7 @@ def package(
             content[path] = text.encode()
         return content
 
-    content = filled(footprint(filled([]), compiler))
+    content = filled(flash_of(filled("")))
     content["test/flight.csv"] = csv_file.encode(FlightTable.from_flight(flown))
-    content["test/reference.csv"] = ("\n".join(reference(estimator, flown)) + "\n").encode()
+    content["test/reference.csv"] = reference(estimator, flown).encode()
     return content

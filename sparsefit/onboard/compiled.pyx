@@ -4,6 +4,10 @@
 from libc.stdint cimport uint32_t, uint64_t
 from libc.string cimport memcpy
 
+import numpy as np
+
+from sparsefit.onboard.sweep import BoardAnswer, BoardDoubt
+
 
 cdef extern from "sf_flow.h":
     ctypedef double sf_real
@@ -35,11 +39,8 @@ cdef class CompiledFlow:
     cdef sf_flow flow
 
     def __init__(self, settings):
-        """Begin with the fields of `BoardSettings`, in their order."""
-        cdef sf_config config
-        (config.response_time, config.drag_coefficient, config.thrust_x, config.thrust_y,
-         config.thrust_scale, config.lower, config.upper, config.precision, config.memory, config.any_heading,
-         config.candidates) = settings
+        """Begin with `BoardSettings`."""
+        cdef sf_config config = vars(settings)
         if sf_init(&self.flow, &config):
             raise ValueError("a setting of the board is out of its range")
 
@@ -55,13 +56,13 @@ cdef class CompiledFlow:
         return sf_update(&self.flow, time_ns, position, velocity, push)
 
     def estimate(self):
-        """Doubt, samples, values (4), errors (4), four tests and the rival, flow (8)."""
+        """The answer from all samples so far, a `BoardAnswer`."""
         cdef sf_answer a
         sf_estimate(&self.flow, &a)
-        values = (a.mean_velocity, a.length_scale, a.timescale, a.heading)
-        errors = (a.mean_velocity_error, a.length_scale_error, a.timescale_error, a.heading_error)
-        tests = (a.innovation, a.correlation, a.disturbance, a.unexplained, a.rival)
-        return a.doubt, a.samples, values, errors, tests, [a.flow[i] for i in range(8)]
+        value = np.array([a.mean_velocity, a.length_scale, a.timescale, a.heading])
+        error = np.array([a.mean_velocity_error, a.length_scale_error, a.timescale_error, a.heading_error])
+        tests = a.innovation, a.correlation, a.disturbance, a.unexplained, a.rival
+        return BoardAnswer(BoardDoubt(a.doubt), a.samples, value, error, *tests, np.array(a.flow))
 
     @property
     def restarts(self):

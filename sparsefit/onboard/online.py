@@ -21,8 +21,8 @@ from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.likelihood.goodness import Uncertainty
-from sparsefit.onboard.board import BAD_SAMPLE, BAD_TIME, BoardAnswer, answer_of, board_of
-from sparsefit.onboard.sweep import BoardDoubt, BoardSettings, rebased
+from sparsefit.onboard.board import BAD_SAMPLE, BAD_TIME, board_of
+from sparsefit.onboard.sweep import BoardAnswer, BoardDoubt, BoardSettings, rebased
 from sparsefit.regression import Fit
 from sparsefit.regression.backend import settings_of
 
@@ -51,19 +51,18 @@ def refusal(estimator: Estimator) -> str:
     their place. The vehicle is known, the flow one of square cells, and U0 its rms.
     """
     library, readout, grid = estimator.library, estimator.readout, estimator.library.grid
-    span = f"a grid of {grid.lower:g} to {grid.upper:g} m is wider than {WIDEST:g} times"
-    free = estimator.free
-    freed = (*library.unknown, *((free,) if isinstance(free, str) else free))
-    causes = {
-        f"unknown {', '.join(freed)}: the vehicle is known (leave it out)": freed,
-        "several scales are a search over all rows (use scales 'one')": readout.scales != "one",
-        f"readout {readout.mean_velocity!r}: U0 is the rms (use 'rms')": (
-            readout.mean_velocity != "rms"
-        ),
-        f"{span} (use narrower bounds)": grid.upper > WIDEST * grid.lower,
-    }
-    words = "; ".join(cause for cause, stands in causes.items() if stands)
-    return f"this estimator cannot run on board: {words}" if words else ""
+    free = (estimator.free,) if isinstance(estimator.free, str) else estimator.free
+    freed, causes = (*library.unknown, *free), []
+    if freed:
+        causes.append(f"unknown {', '.join(freed)}: the vehicle is known (leave it out)")
+    if readout.scales != "one":
+        causes.append("several scales are a search over all rows (use scales 'one')")
+    if readout.mean_velocity != "rms":
+        causes.append(f"readout {readout.mean_velocity!r}: U0 is the rms (use 'rms')")
+    if grid.upper > WIDEST * grid.lower:
+        span = f"a grid of {grid.lower:g} to {grid.upper:g} m is wider than {WIDEST:g} times"
+        causes.append(f"{span} (use narrower bounds)")
+    return f"this estimator cannot run on board: {'; '.join(causes)}" if causes else ""
 
 
 def board_settings(
@@ -73,15 +72,9 @@ def board_settings(
 
     memory: the time in which the weight of a sample falls by e [s]; 0: all count alike.
     """
-    grid, readout = estimator.library.grid, estimator.readout
-    return BoardSettings(
-        *vehicle.parameters,
-        float(grid.lower),
-        float(grid.upper),
-        float(readout.precision),
-        memory,
-        int(_any_heading(estimator)),
-    )
+    grid, precision = estimator.library.grid, float(estimator.readout.precision)
+    search = float(grid.lower), float(grid.upper), precision, memory, int(_any_heading(estimator))
+    return BoardSettings(*vehicle.parameters, *search)
 
 
 def _any_heading(estimator: Estimator) -> bool:
@@ -120,10 +113,8 @@ class OnlineEstimator:
             raise InputError(f"online: vehicle must be a PointMassVehicle; got {vehicle!r}")
         if reason := refusal(estimator):
             raise InputError(f"online: {reason}")
-        stream = Stream(window, memory)
         self.estimator = estimator
-        fading = stream.memory or 0.0 if stream.window is None else stream.window / 2.0
-        self.settings = board_settings(estimator, vehicle, fading)
+        self.settings = board_settings(estimator, vehicle, Stream(window, memory).fading)
         self._lock = threading.RLock()
         self.restart()
 
@@ -138,9 +129,7 @@ class OnlineEstimator:
         """Forget all samples; the next may have any time."""
         with self._lock:
             self._board: Any = board_of(self.settings)
-            self._first = 0.0
-            self._pushed = False
-            self._count = 0
+            self._first, self._pushed, self._count = 0.0, False, 0
 
     def update(self, time: float, position: Any, velocity: Any, thrust: Any = None) -> None:
         """Take one sample: time [s], position (x, y) [m] and velocity (vx, vy) [m/s].
@@ -199,11 +188,16 @@ class OnlineEstimator:
         """Bytes of memory that the board takes."""
         return int(self._board.nbytes)
 
+    @property
+    def answer(self) -> BoardAnswer:
+        """The answer of the board from all samples so far."""
+        with self._lock:
+            answer: BoardAnswer = self._board.estimate()
+        return answer
+
     def estimate(self) -> Estimate:
         """Return the flow's parameters from all samples so far, with their 95 % intervals."""
-        with self._lock:
-            answer = answer_of(self._board)
-        return estimate_of(self.estimator, answer)
+        return estimate_of(self.estimator, self.answer)
 
 
 def samples_of(flight: Flight) -> Iterator[tuple[Any, ...]]:
@@ -220,17 +214,15 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **more: Any) -> Estim
     speed, length, time, heading = answer.value.tolist()
     any_heading = _any_heading(estimator)
     if math.isfinite(length):
-        about_zero, _ = rebased(answer.flow[:6], -answer.flow[6:])
-        kx, ky = about_zero[4:]
+        (a, b, c, d, kx, ky), _ = rebased(answer.flow[:6], -answer.flow[6:])
+        waves = np.array([[kx, ky], [-ky, kx]]), np.array([a, c]), np.array([b, d])
         more |= {
             "uncertainty": Uncertainty.of_flow((speed, length, time), answer.error[:3].tolist()),
-            "flow": WaveFlow(
-                np.array([[kx, ky], [-ky, kx]]), about_zero[[0, 2]], about_zero[[1, 3]]
-            ),
-            "heading": heading if any_heading else 0.0,
+            "flow": WaveFlow(*waves),
             "shape": "square" if any_heading else "axis",
             "length_scales": (length, length),
         }
+        heading = heading if any_heading else 0.0
     return Estimate(
         speed,
         length,
@@ -242,30 +234,9 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **more: Any) -> Estim
         samples=answer.samples,
         rival_length_scale=answer.rival or math.nan,
         doubt=doubt,
-        **({"heading": heading} | more),
+        heading=heading,
+        **more,
     )
-
-
-class FlownRows:
-    """The rows of a flight for a back-end, with the answer of the board after its last sample."""
-
-    def __init__(self, prepared: Prepared, answer: BoardAnswer) -> None:
-        self._prepared, self._answer = prepared, answer
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name in ("_prepared", "_answer"):
-            raise AttributeError(name)
-        return getattr(self._prepared, name)
-
-    def read(self, estimator: Estimator, fit: Fit) -> Estimate:
-        """Return the board's answer, with the certificate of the back-end's fit."""
-        return estimate_of(
-            estimator,
-            self._answer,
-            certificate=fit.certificate,
-            columns=fit.problem.columns,
-            seconds=self._prepared.seconds + fit.seconds,
-        )
 
 
 @dataclass(frozen=True)
@@ -296,6 +267,11 @@ class Stream:
         """Whether flights are followed at all."""
         return self.window is not None or self.memory is not None
 
+    @property
+    def fading(self) -> float:
+        """The time in which the weight of a sample falls by e [s]; 0: all count alike."""
+        return self.memory or 0.0 if self.window is None else self.window / 2.0
+
     def refuse_unfit(self, estimator: Estimator) -> None:
         """Raise InputError where flights are to be followed by an estimator that cannot."""
         if self.asked and (reason := refusal(estimator)):
@@ -303,21 +279,8 @@ class Stream:
 
     def prepare(self, estimator: Estimator, fleet: Sequence[Flight]) -> Prepared:
         """Return the rows of a flight, which `Estimator.read` reads as they were flown if asked."""
-        return self.flown(estimator).prepare(fleet) if self.asked else estimator.prepare(fleet)
-
-    def flown(self, estimator: Estimator) -> FlownEstimator:
-        """Return the estimator as it flies."""
-        own = {item.name: getattr(estimator, item.name) for item in fields(Estimator)}
-        return FlownEstimator(**own, stream=self)
-
-    def followed(self, estimator: Estimator, flight: Flight) -> OnlineEstimator:
-        """Return an online estimator that was given all samples of a flight, one by one."""
-        online = OnlineEstimator(
-            estimator, vehicle=flight.vehicle, window=self.window, memory=self.memory
-        )
-        for sample in samples_of(flight):
-            online.update(*sample)
-        return online
+        flies = as_flown(estimator, window=self.window, memory=self.memory) if self.asked else None
+        return (flies or estimator).prepare(fleet)
 
 
 @dataclass(frozen=True)
@@ -331,14 +294,35 @@ class FlownEstimator(Estimator):
         fleet = [flights] if isinstance(flights, Flight) else list(flights)
         if len(fleet) != 1:
             raise InputError(f"on board one flight is followed, not {len(fleet)} together")
-        batch = Estimator(**{item.name: getattr(self, item.name) for item in fields(Estimator)})
-        answer = answer_of(self.stream.followed(batch, fleet[0])._board)
-        return cast("Prepared", FlownRows(batch.prepare(fleet[0]), answer))
+        rows, stream = super().prepare(fleet), vars(self.stream)
+        online = OnlineEstimator(self, vehicle=fleet[0].vehicle, **stream)
+        for sample in samples_of(fleet[0]):
+            online.update(*sample)
+        return cast("Prepared", _FlownRows(rows, online.answer))
 
     def estimate(self, flights: Flight | Sequence[Flight]) -> Estimate:
         """Estimate from a flight, sample by sample."""
         prepared = self.prepare(flights)
         return self.read(prepared, self.fit(prepared))
+
+
+@dataclass(frozen=True, eq=False)
+class _FlownRows:
+    """The rows of a flight for a back-end, with the answer of the board after its last sample."""
+
+    _prepared: Prepared
+    _answer: BoardAnswer
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._prepared, name)
+
+    def read(self, estimator: Estimator, fit: Fit) -> Estimate:
+        """Return the board's answer, with the certificate of the back-end's fit."""
+        seconds = self._prepared.seconds + fit.seconds
+        more = {"certificate": fit.certificate, "columns": fit.problem.columns, "seconds": seconds}
+        return estimate_of(estimator, self._answer, **more)
 
 
 def as_flown(
@@ -351,4 +335,5 @@ def as_flown(
     """
     if reason := refusal(estimator):
         raise InputError(reason)
-    return Stream(window, memory).flown(estimator)
+    own = {item.name: getattr(estimator, item.name) for item in fields(Estimator)}
+    return FlownEstimator(**own, stream=Stream(window, memory))

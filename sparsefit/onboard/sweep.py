@@ -12,7 +12,7 @@ a, b, a, b, kx, ky:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -69,6 +69,42 @@ class BoardSettings:
     memory: float = 0.0
     any_heading: int = 1
     candidates: int = 8
+
+
+@dataclass(frozen=True, eq=False)
+class BoardAnswer:
+    """The answer of a board, as `sf_answer` of the C.
+
+    Args:
+        doubt: none where the answer is ok.
+        samples: number of samples taken so far.
+        value: U0 [m/s], L [m], L/U0 [s], heading [rad], (4,); NaN where nothing is followed.
+        error: their standard errors (4,).
+        innovation: mean square of the normalised innovations.
+        correlation: their mean product from one sample to the next.
+        disturbance: its level, over U0.
+        unexplained: share of the averaged flow velocity's squares that the flow leaves.
+        rival: L of the rival [m], where that is the doubt.
+        flow: a, b, a, b, kx, ky, and the place that phases count from [m], (8,).
+    """
+
+    doubt: BoardDoubt
+    samples: int
+    value: Array
+    error: Array
+    innovation: float = 0.0
+    correlation: float = 0.0
+    disturbance: float = 0.0
+    unexplained: float = 0.0
+    rival: float = 0.0
+    flow: Array = field(default_factory=lambda: np.zeros(8))
+
+    @property
+    def status(self) -> str:
+        """``ok``, ``misfit`` or ``unidentifiable``."""
+        if self.doubt in (BoardDoubt.INNOVATIONS, BoardDoubt.SHAPE, BoardDoubt.TURNED):
+            return "misfit"
+        return "unidentifiable" if self.doubt else "ok"
 
 
 def waves(flow: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:

@@ -26,8 +26,8 @@ def saved(tmp_path, monkeypatch):
 @pytest.fixture
 def unmeasured(monkeypatch):
     """As where there is no compiler, and a reference that costs nothing."""
-    monkeypatch.setattr(c_source, "footprint", lambda files, compiler: None)
-    monkeypatch.setattr(c_source, "reference", lambda estimator, flight: ["sample", "1"])
+    monkeypatch.setattr(c_source, "flash_of", lambda files: "not measured")
+    monkeypatch.setattr(c_source, "reference", lambda estimator, flight: "sample\n1\n")
 
 
 def refused(capsys, *arguments):
@@ -92,8 +92,6 @@ def test_odd_files_and_options_are_refused(saved, tmp_path, capsys):
     ):
         path.write_text(json.dumps(record | change))
         assert words in refused(capsys, path, "--c", tmp_path / "flow")
-    folder = ("--c", tmp_path / "flow")
-    assert "no such program" in refused(capsys, saved, *folder, "--compiler", "ccc-no")
     assert "name of the folder" in refused(capsys, saved, "--c", "", "--force")
 
 

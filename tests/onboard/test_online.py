@@ -85,7 +85,8 @@ def test_turned_cells_are_never_ok_and_off(estimator):
         flow = sf.flows.ShapedCells(scale / turn, scale, heading=rng.uniform(-0.7, 0.7))
         vehicle = sf.PointMassVehicle(0.3, tuple(rng.normal(size=2) * flow.mean_velocity))
         flight = flown(flow, seed, 20.0, vehicle)
-        estimate = Stream().followed(estimator, flight).estimate()
+        online = OnlineEstimator(estimator, vehicle=vehicle)
+        estimate = fed(online, flight).estimate()
         answered += estimate.status == "ok"
         if estimate.status == "ok":
             assert estimate.length_scale == pytest.approx(scale, rel=0.05)
