@@ -26,6 +26,7 @@ from sparsefit.logs.flight_table import FlightTable
 from sparsefit.onboard.board import LEVELS, board_of
 from sparsefit.onboard.online import board_settings, refusal, samples_of
 from sparsefit.onboard.sweep import PEAKS, ROWS
+from sparsefit.whole_file import write_whole
 
 Real = Literal["double", "float"]
 TOLERANCES: dict[Real, float] = {"double": 1e-6, "float": 1e-3}
@@ -63,7 +64,7 @@ def flash_of(content: dict[str, bytes]) -> str:
     size = f"{command[0][:-3]}size" if command[0].endswith("-gcc") else "size"
     with TemporaryDirectory() as folder:
         for name in ("sf_flow.h", "sf_flow.c"):
-            (Path(folder) / name).write_bytes(content[name])
+            write_whole(Path(folder) / name, content[name])
         try:
             lines = [
                 subprocess.check_output(
