@@ -43,7 +43,7 @@ from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern
 from sparsefit.likelihood.posterior import Posterior
-from sparsefit.likelihood.vehicle_estimate import model_of, vehicle_of
+from sparsefit.likelihood.vehicle_estimate import vehicle_of
 from sparsefit.model import Proposal
 from sparsefit.model.shapes import flows_of, read_cells
 
@@ -251,7 +251,9 @@ def measure_flow(
             break
         pairs = zip(prepared.flights, proposal.vehicles, strict=True)
         pattern = _pattern(proposal)
-        models = [model_of(pattern, *pair, proposal.background).free(*constants) for pair in pairs]
+        models = [
+            Model.of_flight(pattern, *pair, proposal.background).free(*constants) for pair in pairs
+        ]
         there = fitted(logs, models)
         for name in names:
             if there is not None and FREEDOMS[name].wanders:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +26,11 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, suggestion
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
 
+if TYPE_CHECKING:
+    from sparsefit.flight import Flight
+    from sparsefit.flight.vehicle import PointMassVehicle
+
+Pair = tuple[float, float]
 ELEMENTS: dict[str, float] = {
     "response_time": math.nan,  # tau [s], always given
     "thrust_scale": 1.0,  # s, by which m is multiplied
@@ -141,6 +147,18 @@ class Model:
             if name not in ELEMENTS:
                 raise InputError(f"no parameter {name!r}{suggestion(name, self.values)}")
 
+    @classmethod
+    def of_flight(
+        cls, pattern: StreamPattern, flight: Flight, vehicle: PointMassVehicle, wind: Pair
+    ) -> Model:
+        """The model of a flight of a vehicle; a constant thrust is in the log, not in the model."""
+        tau = min(vehicle.response_time, 1e6)  # [s]: of a vehicle whose drag is quadratic alone
+        x, y = (0.0, 0.0) if flight.thrust is None else vehicle.thrust_acceleration
+        scale = 1.0 if flight.thrust is None else vehicle.thrust_scale
+        own = {"response_time": tau, "thrust_scale": scale, "thrust_bias_x": x, "thrust_bias_y": y}
+        own |= {"quadratic_drag": vehicle.drag * tau, "wind_x": wind[0], "wind_y": wind[1]}
+        return cls(pattern, own)
+
     @cached_property
     def values(self) -> dict[str, float]:
         """Every parameter by name: those of the pattern first."""
@@ -190,12 +208,8 @@ class Model:
 
     def free(self, *names: str) -> Model:
         """Return the model with these parameters free as well."""
-        for name in names:
-            if name not in self.values:
-                near = suggestion(name, self.values)
-                raise InputError(f"no parameter {name!r} can be freed{near}")
         fixed = tuple(name for name in self.fixed if name not in names)
-        new = (name for name in names if name in ELEMENTS and name not in self.freed)
+        new = (name for name in names if name not in (*self.pattern.names, *self.freed))
         return replace(self, fixed=fixed, freed=(*self.freed, *new))
 
     def known(self, *names: str) -> Model:
@@ -230,7 +244,7 @@ class StateSpace:
     @classmethod
     def of(cls, model: Model, names: Iterable[str] = ()) -> StateSpace:
         """Return the state space of a model, with sensitivities by named parameters."""
-        disturbance, order = model.disturbance, list(ELEMENTS)
+        disturbance, order, chain = model.disturbance, list(ELEMENTS), model.jacobian(names)
         walkers = [
             (order.index(name), process.rate, process.level**2, level)
             for level, process in enumerate(disturbance.processes, len(LEVELS))
@@ -246,5 +260,4 @@ class StateSpace:
             spread[level, state] = variance if rate else 0.0
         places = np.array([walker[0] for walker in walkers], dtype=np.intp)
         rates = np.array([walker[1] for walker in walkers], dtype=np.float64)
-        chain = model.jacobian(names)
         return cls(model.elements, places, rates, chain, kicks, spread, noise)

@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparsefit.likelihood.goodness import Uncertainty
-from sparsefit.likelihood.model import Model
 
 if TYPE_CHECKING:
-    from sparsefit.flight import Flight
     from sparsefit.flight.vehicle import PointMassVehicle
-    from sparsefit.likelihood.pattern import StreamPattern
     from sparsefit.likelihood.posterior import Posterior
 
 Pair = tuple[float, float]
@@ -79,15 +76,3 @@ def vehicle_of(posterior: Posterior, believed: PointMassVehicle, flight: int = 0
         return values
     absent = dict.fromkeys(NAMES)  # of what was known there is an entry, without a value
     return values | {"vehicle_uncertainty": Uncertainty(absent | Uncertainty.of(values, errors))}
-
-
-def model_of(
-    pattern: StreamPattern, flight: Flight, vehicle: PointMassVehicle, wind: Pair
-) -> Model:
-    """The model of a flight of a vehicle; a constant thrust is in the log, not in the model."""
-    tau = min(vehicle.response_time, 1e6)  # [s]: of a vehicle whose drag is quadratic alone
-    x, y = (0.0, 0.0) if flight.thrust is None else vehicle.thrust_acceleration
-    scale = 1.0 if flight.thrust is None else vehicle.thrust_scale
-    own = {"response_time": tau, "thrust_scale": scale, "thrust_bias_x": x, "thrust_bias_y": y}
-    own |= {"quadratic_drag": vehicle.drag * tau, "wind_x": wind[0], "wind_y": wind[1]}
-    return Model(pattern, own)

@@ -30,8 +30,7 @@ from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells, CellularFlow
-from sparsefit.likelihood import Disturbance, FlightLog, StreamPattern, bound
-from sparsefit.likelihood.vehicle_estimate import model_of
+from sparsefit.likelihood import Disturbance, FlightLog, Model, StreamPattern, bound
 from sparsefit.model import LengthScaleGrid
 from sparsefit.model.grid import extent_of
 from sparsefit.onboard import as_flown
@@ -152,7 +151,7 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     for flown in fleet:
         density = noise * math.sqrt(flown.duration / (flown.samples - 1))  # [m/s^2/sqrt(Hz)]
         noises = Disturbance(density, EXACT * scale, EXACT * speed)
-        model = model_of(pattern, flown, draw.vehicle, (0.0, 0.0))
+        model = Model.of_flight(pattern, flown, draw.vehicle, (0.0, 0.0))
         models.append(replace(model, disturbance=noises))
     states = [np.hstack([flown.position, flown.velocity]) for flown in fleet]
     try:
