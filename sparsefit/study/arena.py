@@ -24,10 +24,10 @@ import numpy as np
 from sparsefit import backends
 from sparsefit.arrays import Array
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
-from sparsefit.study.contenders import Contender, ProblemDesign
+from sparsefit.study.contenders import ACCURACIES, Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
-from sparsefit.study.holdout import cross_validated, missed, recovered, support
-from sparsefit.study.keys import Clock, Holdout
+from sparsefit.study.holdout import FOLDS, cross_validated, missed, recovered, support
+from sparsefit.study.keys import Clock
 from sparsefit.study.plan import Asking
 from sparsefit.study.problem_desk import own_fraction
 from sparsefit.study.worker import Answer, Ask
@@ -172,8 +172,8 @@ class Arena:
             for case in timed if turn % 2 == 0 else reversed(timed):
                 yield from self._tried(case, self._repeat(case, turn))
         for case in cases:
-            if self.design.holdout is not None and not case.status:
-                yield from self._tried(case, self._hold_out(case, self.design.holdout))
+            if self.design.holds_out and not case.status:
+                yield from self._tried(case, self._hold_out(case))
         yield from map(self._outcome, cases)
 
     def _case(self, cell: int) -> Case:
@@ -307,14 +307,14 @@ class Arena:
             value = math.inf if math.isnan(value) else value  # no proof is no answer
             case.values[name] = max(value, case.values.get(name, 0.0))
 
-    def _hold_out(self, case: Case, rules: Holdout) -> Asking[None]:
+    def _hold_out(self, case: Case) -> Asking[None]:
         """Errors on rows that a fit did not see, its support, and how alike two halves are."""
         data, weights, m = self.data, case.weights, len(self.data.target)
         assert weights is not None
         if data.samples is not None:  # compressed rows are no samples
             return
         point, errors, bases = 0, list[Array](), list[float]()
-        for fold in np.array_split(np.arange(m), rules.folds) if rules.folds else ():
+        for fold in np.array_split(np.arange(m), FOLDS):
             if not len(fold):
                 continue
             try:
@@ -332,27 +332,27 @@ class Arena:
             case.values["alpha_fraction"] = self.design.fractions[point]
         if data.test is not None:
             theta, target = data.test
-            blocks = np.array_split(np.arange(len(target)), min(rules.folds or 5, len(target)))
+            blocks = np.array_split(np.arange(len(target)), min(FOLDS, len(target)))
             chosen = weights[point : point + 1]
             remaining = np.array([missed(theta[b], target[b], chosen) for b in blocks])
             base = np.array([_squares(target[b], data.target) for b in blocks])
             case.values |= cross_validated(remaining, base)
         rms = np.sqrt(np.asarray((data.theta * data.theta).mean(axis=0)))
-        used = support(weights[point], rms, rules.support)
+        used = support(weights[point], rms)
         case.values["support"] = int(used.sum())
         if data.truth is not None:
             case.values |= recovered(used, data.truth)
-        if rules.stability and m >= 4:
+        if m >= 4:
             halves = []
             for other in ((m // 2, m), (0, m // 2)):
                 fitted, *_ = yield from self._solve(case, without=other)
-                halves.append(support(fitted[point], rms, rules.support))
+                halves.append(support(fitted[point], rms))
             union, shared = (halves[0] | halves[1]).sum(), (halves[0] & halves[1]).sum()
             case.values["stability"] = float(shared / union) if union else 1.0
 
     def _requested(self, case: Case) -> float:
         """The accuracy that a case is held to: its tolerance, or the strictest of the study."""
-        return self.design.accuracies[-1] if math.isnan(case.tolerance) else case.tolerance
+        return ACCURACIES[-1] if math.isnan(case.tolerance) else case.tolerance
 
     def _outcome(self, case: Case) -> Outcome:
         """The row: `ok` where every answer's excess is within what was asked for."""

@@ -179,7 +179,7 @@ FLIGHT_COLUMNS = _columns(
     (TEXT, "identity version"),
 )
 PROBLEM_COLUMNS = _columns(
-    (TEXT, "case_id study problem series level"),
+    (TEXT, "case_id study problem series"),
     (WHOLE, "samples columns targets"),
     (TEXT, "objective backend settings solver"),
     (LEVEL, "tolerance"),  # asked of the solver; NaN where it has none

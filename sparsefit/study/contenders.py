@@ -10,44 +10,110 @@
     iterations = [100, 1000, 10000]
 
 Entries of one label are one objective, solved by every one of its solvers. A ``certified`` one is
-charged for all that `sparsefit.path` does. With [holdout] each is judged by held-out rows too.
+charged for all that `sparsefit.path` does. `kind = "problems"` judges each by held-out rows, too.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sparsefit import RegressionProblem, backends
-from sparsefit.codec import Place, shown
+from sparsefit import Estimator, RegressionProblem, backends
+from sparsefit.codec import Place, integer, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import Recipe, shipped_solvers
-from sparsefit.study.crossing import Setting, points_of, read_grid
+from sparsefit.study.crossing import Setting, Setup, points_of, read_grid, read_setup
+from sparsefit.study.data_sets import (
+    GENERATORS,
+    Data,
+    altered,
+    digest_of,
+    drawn,
+    read_data,
+    read_public,
+    shapes_of,
+)
+from sparsefit.study.draw import SIMULATION, stream
+from sparsefit.study.holdout import FOLDS, IN_USE
 from sparsefit.study.keys import (
     Clock,
     ContenderKeys,
-    Holdout,
+    Generator,
     PathRule,
+    ProblemKeys,
     ProblemRules,
     SolverKeys,
 )
-from sparsefit.study.problem_sources import ProblemSource, read_problems
-from sparsefit.study.schema import distinct, entries, read, taken
+from sparsefit.study.schema import (
+    distinct,
+    entries,
+    names_of,
+    read,
+    record_of,
+    section_of,
+    taken,
+)
 from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
 OURS = "sparsefit"
 EXACT = "sparsefit's exact path"
 FIRST_SECONDS = 120.0  # of a first call that may compile, where its code ships
+ACCURACIES = (1e-4, 1e-6, 1e-8)  # certified, at which success and time are counted
 MOST_CASES = 20_000
+KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, `name` and `alter`
+    "flights": ("library",),
+    "file": ("test",),
+    "dataset": (),
+    "generator": ("count", *names_of(Generator)),
+}
+AS_IT_IS = "as it is"
+ALTERED = 300  # the child of a flight's stream that an alteration is drawn from
+GENERATED = 301  # the child that a generated problem is drawn from
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemSource:
+    """One problem: what makes its arrays, and what is done to them.
+
+    series: the entry it belongs to; identity: what determines its numbers; test: a file of rows
+    that are held out.
+    """
+
+    name: str
+    series: str
+    make: Callable[[], Data]
+    identity: str
+    alter: str
+    seed: int
+    test: Path | None = None
+
+    def build(self) -> Data:
+        """The arrays of the problem, checked as a regression problem.
+
+        Raises:
+            InputError: naming the problem, where its numbers make none.
+        """
+        try:
+            data = self.make().real()
+            if self.test is not None:
+                rows = read_data(self.test).real()
+                data = replace(data, test=(rows.theta, rows.target))
+            if self.alter != AS_IT_IS:
+                random = np.random.default_rng(stream(self.seed, 0, ALTERED))
+                data = Data(*altered(self.alter, data.theta, data.target, random), data.groups)
+            RegressionProblem.from_arrays(data.theta, data.target, data.groups)
+        except InputError as error:
+            raise InputError(f"problem {self.name!r}: {error}") from None
+        return data
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,17 +156,15 @@ class Contender:
 class ProblemDesign:
     """Problems and their contenders.
 
-    fractions: the penalties of every path, none where single fits are made; accuracies: the
-    certificates at which success is counted, loosest first; holdout: None where nothing is held
-    out.
+    fractions: the penalties of every path, none where single fits are made; holds_out: whether
+    answers are judged by held-out rows, too.
     """
 
     problems: tuple[ProblemSource, ...]
     contenders: tuple[Contender, ...]
     fractions: tuple[float, ...]
-    accuracies: tuple[float, ...]
     clock: Clock
-    holdout: Holdout | None = None
+    holds_out: bool
 
     @cached_property
     def cells(self) -> tuple[tuple[int, float], ...]:
@@ -110,8 +174,8 @@ class ProblemDesign:
 
     def cell_identities(self) -> list[str]:
         """The settings that determine the rows of each cell: another limit lets others fail."""
-        clock = {key: value for key, value in asdict(self.clock).items() if key != "shift"}
-        judged = asdict(self.holdout) if self.holdout else None
+        clock = {**asdict(self.clock), "first": 0.0}
+        judged = {"folds": FOLDS, "support": IN_USE, "stability": True} if self.holds_out else None
         content = []
         for number, tolerance in self.cells:
             c = self.contenders[number]
@@ -128,28 +192,101 @@ def read_problem_design(
 ) -> tuple[ProblemDesign, object]:
     """The design of a study of problems, and the content that all its cases depend on."""
     rules, _ = taken(ProblemRules, document, place)
-    for name in ("accuracies", "tolerances"):
-        distinct(getattr(rules, name), place.at(name))
+    distinct(rules.tolerances, place.at("tolerances"))
     path, fractions = read(PathRule, document, "path", place), tuple[float, ...]()
     if "path" in document:
         fractions = tuple(np.geomspace(1.0, path.lowest, path.points).tolist())
         fractions = (path.lowest,) if path.points == 1 else fractions
     clock = read(Clock, document, "clock", place)
-    problems = read_problems(document, seed, place)
+    problems = _read_problems(document, seed, place)
     design = ProblemDesign(
         problems,
         _read_contenders(document, rules.tolerances, clock, place),
         fractions,
-        tuple(sorted(rules.accuracies, reverse=True)),
         clock,
-        read(Holdout, document, "holdout", place) if holds_out else None,
+        holds_out,
     )
     planned = len(problems) * len(design.cells)
     if planned > MOST_CASES:
         raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}")
-    shown_only = ("question", "accuracies", "outputs", "select", "kind")
+    shown_only = ("question", "outputs", "select", "kind")
     judged_by = {key: value for key, value in document.items() if key not in shown_only}
     return design, [judged_by, [source.identity for source in problems]]
+
+
+def _read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSource, ...]:
+    """The [[problems]]; one `InputError` names every entry that is none."""
+    here, faults = place.within("problems"), list[str]()
+    sources: list[ProblemSource] = []
+    for number, entry in enumerate(entries(document, "problems", place)):
+        try:
+            sources += _read_problem(entry, document, seed + number, here)
+        except InputError as error:
+            faults.append(str(error))
+    if faults:
+        raise InputError("; ".join(faults))
+    distinct([source.name for source in sources], here.at("name"))
+    return tuple(sources)
+
+
+def _read_problem(
+    entry: Section, document: Section, seed: int, place: Place
+) -> Iterator[ProblemSource]:
+    """The problems of one entry, each as it is or altered."""
+    kinds = [kind for kind in KINDS if kind in entry]
+    if len(kinds) != 1:
+        have = " and ".join(kinds) or "none"
+        raise place.error(f"each needs exactly one of {', '.join(KINDS)}, one has {have}")
+    (kind,) = kinds
+    only(entry, (kind, "name", "alter", *KINDS[kind]), place)
+    keys, rest = taken(ProblemKeys, entry, place)
+    name, test, beside = keys.name or str(entry[kind]), None, None
+    made: list[tuple[Callable[[], Data], Any]]  # what makes the arrays, and what determines them
+    if kind == "file":
+        folder = Path(place.file).parent
+        path = folder / keys.file
+        name, shape = keys.name or path.stem, shapes_of(path)["theta"]
+        made = [(partial(read_data, path), digest_of(path))]
+        if keys.test:
+            test = folder / keys.test
+            if shapes_of(test)["theta"][1:] != shape[1:]:
+                raise place.at("test").error(f'"{keys.test}": its rows have other columns')
+            beside = digest_of(test)
+    elif kind == "dataset":
+        made = [(partial(read_public, str(keys.dataset)), keys.dataset)]
+    elif kind == "generator":
+        rules = record_of(Generator, {**GENERATORS[str(keys.generator)], **rest}, place)
+        made = [(partial(_drawn, rules, seed, number), [keys.generator, asdict(rules), number])
+                for number in range(keys.count)]  # fmt: skip
+    else:
+        if not keys.name:
+            raise place.at("name").error("missing: a flight has no other name")
+        whole = Place(place.file, via=f'problem "{keys.name}": ')
+        sections = {part: {**section_of(document, part, whole), **getattr(keys, part, {})}
+                    for part in ("flights", "derivative", "library")}  # fmt: skip
+        count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
+        setup, content = read_setup(sections, whole), {**sections, "readout": {}}
+        made = [(partial(_flown, setup, number, count, seed), [content, number, count, seed])
+                for number in range(count)]  # fmt: skip
+    for number, (make, identity) in enumerate(made, 1):
+        numbered_name = f"{name} {number}" if len(made) > 1 else name
+        for alter in keys.alter:
+            own = f"{numbered_name}, {alter}" if alter != AS_IT_IS else numbered_name
+            whole_identity = canonical_json([identity, None, beside, alter, seed])
+            series = str(entry.get("name", entry[kind]))
+            yield ProblemSource(own, series, make, whole_identity, alter, seed, test)
+
+
+def _flown(setup: Setup, flight: int, count: int, seed: int) -> Data:
+    """The arrays of the problem of a flight, as a study of flights would pose it."""
+    fleet = setup.flights.draw(flight, count, seed).fleet(stream(seed, flight, SIMULATION))
+    blind = [replace(flown, flow=None) for flown in fleet]
+    problem = Estimator(setup.derivative, setup.library).prepare(blind).problem
+    return Data(problem.theta, problem.target, problem.groups, samples=problem.sample_count)
+
+
+def _drawn(rules: Generator, seed: int, number: int) -> Data:
+    return drawn(rules, np.random.default_rng(stream(seed, number, GENERATED)))
 
 
 def _read_contenders(
@@ -205,7 +342,7 @@ def _read_contenders(
             Contender(
                 objective=label, backend=keys.name, settings=settings, solver=solver,
                 tolerances=stops, certified=keys.certified, limit=limit,
-                first=clock.first or first, recipe=recipe, **words,
+                first=first, recipe=recipe, **words,
             )
         )  # fmt: skip
     return tuple(contenders)

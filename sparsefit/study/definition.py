@@ -156,8 +156,8 @@ def definition_of(document: Section, path: str) -> Definition:
     if flown:
         design, content = _read_flights(document, place)
     else:
-        holds_out = "holdout" in document or heading.kind == "problems"
-        design, content = read_problem_design(document, heading.seed, place, holds_out=holds_out)
+        judged = heading.kind == "problems"
+        design, content = read_problem_design(document, heading.seed, place, holds_out=judged)
     return Definition(
         path=path,
         name=heading.name,

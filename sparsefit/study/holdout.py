@@ -15,6 +15,9 @@ import numpy as np
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.columns import Value
 
+FOLDS = 5  # blocks of neighbouring rows that are held out in turn
+IN_USE = 1e-3  # share of the largest weight (of columns of unit rms), above which a column is used
+
 
 def missed(theta: Array, target: Array, weights: Array) -> Array:
     """The squares (p,) that answers (p, k, n) leave of rows."""
@@ -36,10 +39,10 @@ def cross_validated(errors: Array, bases: Array) -> dict[str, Value]:
     return {"holdout_error": total, "holdout_error_se": spread}
 
 
-def support(weights: Array, rms: Array, share: float) -> BoolArray:
+def support(weights: Array, rms: Array) -> BoolArray:
     """Which columns (k,) are in use, of weights (k, n)."""
     sizes = np.sqrt((weights**2).sum(axis=1)) * rms
-    used: BoolArray = sizes > share * sizes.max(initial=0.0)
+    used: BoolArray = sizes > IN_USE * sizes.max(initial=0.0)
     return used
 
 

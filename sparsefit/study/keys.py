@@ -25,7 +25,7 @@ from sparsefit.study.schema import (
 
 READING = ("flights", "derivative", "library", "readout", "online")  # what a protocol may change
 FLIGHT_SECTIONS = (*READING, "backends", "protocols", "sweep", "split", "run", "select", "outputs")
-PROBLEM_SECTIONS = ("path", "clock", "holdout", "problems", "backends", "solvers", "flights",
+PROBLEM_SECTIONS = ("path", "clock", "problems", "backends", "solvers", "flights",
                     "derivative", "library", "run", "select", "outputs")  # fmt: skip
 MOST_VALUES = 128_000_000  # numbers in a regression problem: a gigabyte
 COUNTED = Range(least=0, most=100_000)
@@ -208,9 +208,6 @@ class LogRules:
 class ProblemRules:
     """The keys of a study of problems that are numbers."""
 
-    accuracies: tuple[float, ...] = key(
-        "Certified accuracies at which success and time are counted.", (1e-4, 1e-6, 1e-8), INSIDE
-    )
     tolerances: tuple[float, ...] = key(
         "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
     )
@@ -232,7 +229,6 @@ class ProblemKeys:
     )  # fmt: skip
     test: str = key("A file of rows that are held out, in the form of `file`.", "")
     library: Mapping[str, object] = key("Of a flight, in place of the file's own keys.", dict)
-    sweep: Mapping[str, object] = key("Of a flight or generator: a series of problems.", dict)
     alter: tuple[Alteration, ...] = key(
         f"Makes it degenerate: {', '.join(get_args(Alteration))}; or a list.", ("as it is",)
     )
@@ -314,32 +310,6 @@ class Clock:
     precision: float = key(
         "Or when the 95 % interval of the median is within this share of it.", 0.05, POSITIVE
     )
-    shift: float = key(
-        "Seconds added in the shifted geometric mean, so that the shortest do not decide it.",
-        0.001, POSITIVE, "s",
-    )  # fmt: skip
-    first: float = key(
-        "Of a first call, which may compile; 0: `limit`, or 120 s of what ships.",
-        0.0, NOT_NEGATIVE, "s",
-    )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Holdout:
-    """The rules by which predictions are judged: [holdout]."""
-
-    folds: int = key(
-        "Blocks of neighbouring rows that are held out in turn; 0: none.", 5, Range(most=100)
-    )
-    support: float = key(
-        "Share of the largest weight (of columns of unit rms) above which a column is in use.",
-        1e-3, Range(least=0.0, below=1.0),
-    )  # fmt: skip
-    stability: bool = key("Whether two halves of the rows are compared too.", True)
-
-    def __post_init__(self) -> None:
-        if self.folds == 1:
-            raise InputError("folds must be 0 or 2 to 100, not 1")
 
 
 OWN: dict[str, tuple[type[Any], ...]] = {
@@ -348,7 +318,7 @@ OWN: dict[str, tuple[type[Any], ...]] = {
     "run": (RunRule,), "select": (SelectionRule,), "outputs": (Outputs,),
     "outputs.reference": (Reference,), "solvers": (ProblemRules,),
     "problems": (ProblemKeys, Generator), "contenders": (ContenderKeys,),
-    "own-solvers": (SolverKeys,), "path": (PathRule,), "clock": (Clock,), "holdout": (Holdout,),
+    "own-solvers": (SolverKeys,), "path": (PathRule,), "clock": (Clock,),
 }  # fmt: skip
 """Section -> the records that its keys are fields of; two in a problem study are "contenders"
 ([[backends]]) and "own-solvers" ([[solvers]]); "solvers" and "study" are the top of a file."""

@@ -2,8 +2,8 @@
 
 A case is one solver at one tolerance on one problem: a whole path of penalties with [path], a
 single fit without. Cases of one problem and one objective are judged one by one and timed by turns
-until the median is known; every timed repeat returns its answer, and each is judged. With [holdout]
-a solver also fits parts of the rows, and is judged by the rest.
+until the median is known; every timed repeat returns its answer, and each is judged. A study of
+`kind = "problems"` has solvers fit parts of the rows, too, and judges them by the rest.
 """
 
 from __future__ import annotations
@@ -59,7 +59,6 @@ class ProblemExperiment(Experiment):
             "unit": [source.name for source in sources],
             "problem": [source.name for source in sources],
             "series": [source.series for source in sources],
-            "level": [source.level for source in sources],
             "split": ["all"] * len(sources),
             "identity": numbered(digest(source.identity) for source in sources),
         }

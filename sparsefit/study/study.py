@@ -165,8 +165,7 @@ class Study:
         frame = frame.join(table[[name for name in table.columns if name not in frame.columns]])
         design = self.definition.design
         if isinstance(design, ProblemDesign):
-            clock = design.clock
-            frame.attrs.update(accuracies=design.accuracies, limit=clock.limit, shift=clock.shift)
+            frame.attrs["limit"] = design.clock.limit
         return frame
 
     @property
