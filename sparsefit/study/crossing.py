@@ -30,9 +30,8 @@ from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.regression.backend import PathBackend
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
-from sparsefit.study.draw import FlightRules, read_flight_rules
+from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
 from sparsefit.study.keys import BackendKeys
-from sparsefit.study.logged import Logs, read_logs
 from sparsefit.study.quantities import nearest
 from sparsefit.study.schema import distinct, entries, names_of, required, taken
 from sparsefit.study.toml_file import Section, canonical_json

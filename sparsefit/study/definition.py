@@ -28,6 +28,7 @@ from sparsefit.study.crossing import (
     read_setup,
     read_sweep,
 )
+from sparsefit.study.draw import read_logs
 from sparsefit.study.keys import (
     FLIGHT_SECTIONS,
     OWN,
@@ -40,7 +41,6 @@ from sparsefit.study.keys import (
     SelectionRule,
     Split,
 )
-from sparsefit.study.logged import read_logs
 from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import (
     described,

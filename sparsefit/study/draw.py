@@ -1,4 +1,4 @@
-"""The simulated flights of a study: a rule for every quantity, and the draw of one flight.
+"""The flights of a study: a rule for every quantity and the draw of one, or pieces of logs.
 
     length_scale = 4.21                       every flight
     length_scale = { uniform = [2.0, 10.0] }  each flight its own; or loguniform, linspace
@@ -7,26 +7,37 @@
     draw = rules.draw(flight=7, count=60, seed=1)    # one number per quantity
     fleet = draw.fleet(stream(1, 7, SIMULATION))     # simulated; equal for equal numbers
 
-Two of U0, L and tau_w = L/U0 give the third (paper Eq. 14).
+Two of U0, L and tau_w = L/U0 give the third (paper Eq. 14). A study that reads its flights says
+
+    files = ["logs/*.csv"]            # relative to the study file, in order of name
+    windows = [432000, 864000]        # [s] each log in pieces of so long; without, the whole of it
+
+Nobody knows the flow of a log: its cases have a status and an estimate, and no error.
 """
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
-from sparsefit.codec import Place, number, only, shown
+from sparsefit.codec import Place, number, only
+from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import Cells, CellularFlow, Flow, ShapedCells, SuperposedFlow
-from sparsefit.flight.record import MOST_SAMPLES
+from sparsefit.flight.record import MINIMUM_SAMPLES, MOST_SAMPLES
 from sparsefit.flight.vehicle import PointMassVehicle, turning
 from sparsefit.flight.waves import Turbulence
+from sparsefit.logs import read_flight
+from sparsefit.logs.files import LARGEST
+from sparsefit.study.keys import LogRules
 from sparsefit.study.quantities import (
     FLOW_KEYS,
     QUANTITIES,
@@ -36,9 +47,11 @@ from sparsefit.study.quantities import (
     Quantity,
     nearest,
 )
-from sparsefit.study.schema import POSITIVE, items, names_of, taken
+from sparsefit.study.schema import POSITIVE, items, names_of, record_of, taken
 from sparsefit.study.toml_file import Section
+from sparsefit.whole_file import read_whole
 
+MOST_FILES = 1000
 SIMULATION = 0
 FAULTY = 100  # the child of a flight's stream that its faults are drawn from
 OTHERS = 200  # the first child that other flights through the same flow start from
@@ -128,15 +141,11 @@ class Draw:
         return PointMassVehicle(response, thrust, self.values.get("drag", 0.0))
 
     @property
-    def _logged(self) -> bool:
-        """Whether a thrust that turns is measured, or only its constant part known."""
-        return self.words.thrust_log == "measured"
-
-    @property
     def believed(self) -> PointMassVehicle | None:
         """The vehicle that the estimator is given, where it is not the true one."""
         values, turns = self.values, "thrust_turn" in self.values
-        if not any(name in values for name in BELIEFS) and (self._logged or not turns):
+        measured = turns and self.words.thrust_log == "measured"
+        if not any(name in values for name in BELIEFS) and measured == turns:
             return None
         push = values.get("believed_thrust_ratio", 1.0)
         response = values.get("response_time", math.inf)
@@ -144,7 +153,7 @@ class Draw:
         drag = values.get("drag", 0.0) * values.get("believed_drag_ratio", 1.0)
         if "believed_response_time" in values:
             response, drag = values["believed_response_time"], 0.0
-        if turns and self._logged:
+        if measured:
             return PointMassVehicle(response, (0.0, 0.0), drag, thrust_scale=push)
         x, y = self._pair("thrust")
         return PointMassVehicle(response, (push * x, push * y), drag)
@@ -173,7 +182,7 @@ class Draw:
             thrust=thrust,
             **noises,
         )
-        if not self._logged:
+        if self.words.thrust_log == "none":
             flight = replace(flight, thrust=None)
         given: dict[str, Any] = {
             row.fault: round(values[key]) if key in ("jumps", "gaps") else values[key]
@@ -224,7 +233,7 @@ class DrawRule:
     def of(cls, value: object, quantity: Quantity, place: Place) -> DrawRule:
         """The rule of a TOML value, with every number in the range of the quantity."""
         rule, listed = "constant", items([value], place)
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             only(value, RULES, place)
             if len(value) != 1:
                 raise place.error(f"must hold exactly one of {', '.join(RULES)}, not {value}")
@@ -232,9 +241,6 @@ class DrawRule:
             listed = items(pair, place)
             if len(listed) != 2:
                 raise place.error(f"{rule} takes two numbers [a, b], not {len(listed)}")
-        elif isinstance(value, list | str):
-            words = f"must be a number or a table with one of {', '.join(RULES)}"
-            raise place.error(f"{words}, not {shown(value)}")
         values = tuple(number(item, place) for item in listed)
         for item in values:
             quantity.range.check(item, place, quantity.unit)
@@ -293,36 +299,8 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
         if name not in KEYS:
             raise place.at(name).error(f"unknown{nearest(name, KEYS)}")
     words, given = taken(FlightWords, section, place)
-    calm = words.flow == "none"
-    _check_keys(given, words, place)
-    entries: dict[str, DrawRule] = {}
-    for name, value in given.items():
-        quantity, here = QUANTITIES[name], place.at(name)
-        pair = value if len(quantity.streams) == 2 else [value]
-        if not isinstance(pair, list) or len(pair) != len(quantity.streams):
-            raise here.error("must be a pair [x, y]")
-        for stream_name, item in zip(quantity.streams, pair, strict=True):
-            entries[stream_name] = DrawRule.of(item, quantity, here)
-    samples = max(entries["duration"].values) * max(entries["sample_rate"].values)
-    if samples > MOST_SAMPLES:
-        many = f"at this sample_rate is {samples:.3g} samples: keep it below {MOST_SAMPLES}"
-        raise place.at("duration").error(many)
-    if not calm:  # at all extremes, before the first is flown
-        first, second = (entries[name].values for name in FLOW_KEYS if name in entries)
-        thirds = [third for a in first for b in second for third in (a * b, a / b)]
-        if not all(1e-150 < third < 1e150 for third in thirds):
-            raise place.error(f"{first[0]:g} and {second[0]:g} give no flow that can be flown")
-    # A protocol without a flow cannot remove the keys of the others: they are left out here.
-    rows = QUANTITIES.values()
-    dropped = {name for row in rows if row.of_flow and calm for name in row.streams}
-    named = [name for name in STREAMS if name in entries and name not in dropped]
-    return FlightRules(tuple((name, entries[name]) for name in named), words)
-
-
-def _check_keys(given: Section, words: FlightWords, place: Place) -> None:
-    """Refuse keys that are missing, or exclude each other."""
-    flow = [name for name in FLOW_KEYS if name in given]
-    if len(flow) != 2 and words.flow != "none":
+    calm, flow = words.flow == "none", [name for name in FLOW_KEYS if name in given]
+    if len(flow) != 2 and not calm:
         have = ", ".join(flow) or "none"
         raise place.error(f"needs exactly two of {', '.join(FLOW_KEYS)}, has {have}")
     needed = {"duration": "every flight", "sample_rate": "every flight"}
@@ -337,3 +315,117 @@ def _check_keys(given: Section, words: FlightWords, place: Place) -> None:
     for name, other in EITHER:
         if name in given and other in given:
             raise place.at(name).error(f"and {other} say one thing: drop one of them")
+    rules: dict[str, DrawRule] = {}
+    for name, value in given.items():
+        quantity, here = QUANTITIES[name], place.at(name)
+        pair = value if len(quantity.streams) == 2 else [value]
+        if not isinstance(pair, list) or len(pair) != len(quantity.streams):
+            raise here.error("must be a pair [x, y]")
+        for stream_name, item in zip(quantity.streams, pair, strict=True):
+            rules[stream_name] = DrawRule.of(item, quantity, here)
+    samples = max(rules["duration"].values) * max(rules["sample_rate"].values)
+    if samples > MOST_SAMPLES:
+        many = f"at this sample_rate is {samples:.3g} samples: keep it below {MOST_SAMPLES}"
+        raise place.at("duration").error(many)
+    if not calm:  # at all extremes, before the first is flown
+        first, second = (rules[name].values for name in flow)
+        thirds = [third for a in first for b in second for third in (a * b, a / b)]
+        if not all(1e-150 < third < 1e150 for third in thirds):
+            raise place.error(f"{first[0]:g} and {second[0]:g} give no flow that can be flown")
+    # A protocol without a flow cannot remove the keys of the others: they are left out here.
+    dropped = {name for row in QUANTITIES.values() if row.of_flow and calm for name in row.streams}
+    named = [name for name in STREAMS if name in rules and name not in dropped]
+    return FlightRules(tuple((name, rules[name]) for name in named), words)
+
+
+@dataclass(frozen=True)
+class Logged:
+    """A piece of a log, in the place of a draw to fly; its flow is not known.
+
+    digest: of the file; start, end: from when to when [s] of its own time; vehicle: in place of the
+    one in the file.
+    """
+
+    file: str = field(repr=False)  # wherever it lies, its digest says what was logged
+    digest: str
+    start: float
+    end: float
+    vehicle: PointMassVehicle | None
+    flow: ClassVar[None] = None
+
+    @property
+    def label(self) -> str:
+        """The file's name and the seconds, as a reader would look it up."""
+        return f"{Path(self.file).name} {self.start:g}-{self.end:g} s"
+
+    def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight]:
+        """The flight as it was logged, alone, its time from 0 on: nothing of it is random.
+
+        Raises:
+            InputError: if the file has changed since the study was read.
+        """
+        whole, digest = _read(self.file, self.vehicle)
+        if digest != self.digest:
+            raise InputError(f"{self.file} has changed since the study was read: run it again")
+        piece = whole.rows((whole.time >= self.start) & (whole.time <= self.end))
+        return (replace(piece, time=piece.time - self.start),)
+
+
+@dataclass(frozen=True)
+class Logs:
+    """The flights of a study that come from files."""
+
+    pieces: tuple[Logged, ...]
+
+    def draw(self, flight: int, count: int, seed: int) -> Logged:
+        """Flight number `flight`, of the pieces in order."""
+        return self.pieces[flight]
+
+
+def _read(file: str, vehicle: PointMassVehicle | None) -> tuple[Flight, str]:
+    """The flight of a file and the sha256 of its content now."""
+    digest = hashlib.sha256(read_whole(file, most=LARGEST)).hexdigest()
+    return _parsed(file, digest, vehicle), digest
+
+
+@lru_cache(maxsize=4)  # logs that are kept while their pieces are flown
+def _parsed(file: str, digest: str, vehicle: PointMassVehicle | None) -> Flight:
+    """The flight of a file of this digest, parsed once for all its pieces."""
+    return read_flight(file, vehicle=vehicle)
+
+
+def read_logs(section: Section, place: Place) -> Logs:
+    """The logs of [flights]; `InputError` names the key, the file or the line of a fault."""
+    rules, here = record_of(LogRules, section, place), place.at("files")
+    folder, files, vehicle = Path(place.file).parent, list[str](), None
+    for pattern in rules.files:
+        named = [folder / pattern]
+        if set(pattern) & set("*?["):
+            named = [] if Path(pattern).is_absolute() else sorted(folder.glob(pattern))
+        if not named:
+            raise here.error(f'"{pattern}" matches no file beside {Path(place.file).name}')
+        files += map(str, named)
+    if not 0 < len(files) <= MOST_FILES or len(set(files)) < len(files):
+        raise here.error(f"must name 1 to {MOST_FILES} files, each of them once")
+    if rules.response_time or rules.drag:
+        vehicle = PointMassVehicle(rules.response_time or math.inf, drag=rules.drag or 0.0)
+    pieces = tuple(piece for file in files for piece in _pieces(file, vehicle, rules.windows))
+    if not pieces:
+        raise place.at("windows").error("are longer than every log: no flight is left")
+    return Logs(pieces)
+
+
+def _pieces(
+    file: str, vehicle: PointMassVehicle | None, windows: tuple[float, ...]
+) -> Iterator[Logged]:
+    """The log whole, or cut into pieces of each length; the rest at its end is not flown."""
+    flight, digest = _read(file, vehicle)
+    first, last = float(flight.time[0]), float(flight.time[-1])
+    step = float(np.median(np.diff(flight.time)))
+    for window in windows or (last - first,):
+        for place in range(int((last - first + step) / window + 1e-9) if windows else 1):
+            start = first + place * window
+            end = min(start + window - 0.5 * step, last) if windows else last
+            inside = (flight.time >= start) & (flight.time <= end)
+            if np.count_nonzero(inside) >= MINIMUM_SAMPLES:
+                yield Logged(file, digest, start, end, vehicle)

@@ -40,8 +40,7 @@ from sparsefit.score import prediction_error, score, score_scales, strongest
 from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, body_of, values_of
 from sparsefit.study.crossing import Cell
 from sparsefit.study.definition import Definition
-from sparsefit.study.draw import SIMULATION, Draw, FlightRules, stream
-from sparsefit.study.logged import Logged, Logs
+from sparsefit.study.draw import SIMULATION, Draw, FlightRules, Logged, Logs, stream
 from sparsefit.study.worker import resident
 
 ALPHA = "alpha_fraction"

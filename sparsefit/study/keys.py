@@ -199,9 +199,6 @@ class LogRules:
     )  # fmt: skip
     response_time: float | None = key("tau, in place of what files say.", None, POSITIVE, "s")
     drag: float | None = key("c, in place of what the files say.", None, POSITIVE, "1/m")
-    thrust_acceleration: tuple[float, float] | None = key(
-        "In place of what the files say.", None, unit="m/s²"
-    )
 
 
 @dataclass(frozen=True)
