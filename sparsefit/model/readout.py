@@ -28,7 +28,7 @@ from sparsefit.model.grid import Bounds, extent_of, middle
 from sparsefit.model.ladder import Start, Window
 from sparsefit.model.library import Library
 from sparsefit.model.search import Search
-from sparsefit.model.shapes import read_cells
+from sparsefit.model.shapes import WaveCells, read_cells
 from sparsefit.regression.fit import Fit
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples
@@ -150,15 +150,6 @@ def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
     return tuple(chosen)
 
 
-@dataclass(frozen=True)
-class GridScale:
-    """U0 [m/s] and L [m] of one mode on the grid of a back-end; heading [rad] of waves."""
-
-    mean_velocity: float
-    length_scale: float
-    heading: float = math.nan
-
-
 def read_grid(
     fit: Fit,
     flights: Sequence[Samples],
@@ -167,7 +158,7 @@ def read_grid(
     readout: Readout,
     weights: Sequence[float] = (1.0,),
     once: Callable[[object, Callable[[], Any]], Any] = lambda key, work: work(),
-) -> tuple[tuple[GridScale, ...], CandidateFlow | WaveFlow | None]:
+) -> tuple[tuple[WaveCells, ...], CandidateFlow | WaveFlow | None]:
     """The modes that a fit's weights choose on the grid, fastest first, and their flow.
 
     The modes are fitted together to the rows of the regression. The flow is what the weights say;
@@ -204,8 +195,7 @@ def read_grid(
         tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
         top = refitted(lambda place: wave_theta(place, k[tops]), shared=True)
         cells, used = read_cells(k[tops], top.reshape(-1, 2)), own.any(axis=1)
-        reading = GridScale(cells.mean_velocity, cells.length_scale, cells.heading)
-        return (reading,), WaveFlow(k[used], *own[used].T)
+        return (cells,), WaveFlow(k[used], *own[used].T)
     origin = middle(np.concatenate([samples.source.position for samples in flights]))
 
     def cells_at(k: Array) -> Array:
@@ -239,7 +229,7 @@ def read_grid(
     else:
         own = once((*k.tolist(), *weights), lambda: cells_at(k))
         speeds = np.array([rms_mean_velocity(mode) for mode in own])
-    scales = tuple(GridScale(float(speeds[i]), math.pi / float(k[i])) for i in np.argsort(-speeds))
+    scales = tuple(WaveCells(float(speeds[i]), math.pi / float(k[i])) for i in np.argsort(-speeds))
     if several:
         return scales, CandidateFlow(k, own, origin)
     if library.target != "flow-velocity":
