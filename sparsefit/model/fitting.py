@@ -47,19 +47,21 @@ class FlowRows:
     weight: Array | None = None
 
     def cut(self, pieces: int) -> tuple[Array, Array, Array]:
-        """The target (s, n, 2), x, y and t (3, s, n), and weights (s, n) of s pieces of n rows.
+        """The target (s, 2 n), x, y and -t (3, s, n), and weights (s, 1, 1, n) of s pieces.
 
-        Rows that fill the last piece have weight 0; of pieces the target is `rest`.
+        A piece has n rows, x before y; those that fill the last one have weight 0. Of pieces the
+        target is `rest`.
         """
         if pieces not in self._cuts:
             count = -(-len(self.target) // pieces)
             filled = (0, pieces * count - len(self.target))
             own = np.ones(len(self.target)) if self.weight is None else self.weight
-            target = self.target if pieces == 1 else self.rest
+            target = np.pad(self.target if pieces == 1 else self.rest, (filled, (0, 0)))
+            place = np.pad(self.place.T, ((0, 0), filled)).reshape(3, pieces, count)
             self._cuts[pieces] = (
-                np.pad(target, (filled, (0, 0))).reshape(pieces, count, 2),
-                np.pad(self.place.T, ((0, 0), filled)).reshape(3, pieces, count),
-                np.pad(own, filled).reshape(pieces, count),
+                target.reshape(pieces, count, 2).swapaxes(1, 2).reshape(pieces, -1),
+                place * np.array([1.0, 1.0, -1.0])[:, None, None],
+                np.pad(own, filled).reshape(pieces, 1, 1, count),
             )
         return self._cuts[pieces]
 
@@ -143,66 +145,41 @@ def orthonormal(gram: Array, sizes: Array | None = None) -> Array:
 def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
     """Fit the rows by a shape at parameters q (p,); of pieces what is unknown is left out.
 
-    A column is a vector, (k_y, -k_x), times one of g = (-sin theta, cos theta); the derivatives of
-    the flow by q are vectors times g and g x, g y, g t. So all inner products are those of these
-    functions of a row, times products of vectors; pieces of n rows are a stack of them.
+    A column is a vector, (k_y, -k_x), times one of g = (-sin theta, cos theta). Where psi = a cos
+    theta + b sin theta, the flow is that vector times h = a g_1 + b g_2, and h has the derivative
+    b g_1 - a g_2 by theta.
     """
     phases, by_q = shape.phases(q)
-    target, axes, weight = rows.cut(pieces)  # (s, n, 2), (3, s, n), (s, n)
-    clock, count = np.array([1.0, 1.0, -1.0]), 2 * len(phases)  # theta = k.x - omega t
-    angles = np.tensordot(phases * clock, axes, axes=1)
-    g = np.stack(sines_and_cosines(angles), axis=1)  # (waves, 2, s, n)
+    target, axes, weight = rows.cut(pieces)
+    count, size = 2 * len(phases), axes.shape[2]
+    g = np.stack(sines_and_cosines(np.tensordot(phases, axes, axes=1)), axis=1)
     np.negative(g[:, 0], out=g[:, 0])
-    g = np.ascontiguousarray(g.reshape(count, *weight.shape).swapaxes(0, 1))
+    g = np.moveaxis(g, 2, 0)  # (s, J, 2, n)
     if pieces > 1 or rows.weight is not None:
-        g *= weight[:, None]
-    # the vector of each column (2 J, 2), and its derivatives (p, 2 J, 2)
-    across, turned = (
-        np.repeat(part[..., [1, 0]] * (1.0, -1.0), 2, axis=-2) for part in (phases, by_q)
-    )
-    gram = (g @ g.mT) * (across @ across.T)
-    load = np.sum((g @ target) * across, axis=2)
-    others = rows.unknowns if pieces == 1 else rows.unknowns[:0]
-    if others.size:
-        mixed = np.einsum("id,idj->ij", across, np.tensordot(g[0], others, axes=1))
-        flat = others.reshape(-1, others.shape[2])
-        gram = np.block([[gram[0], mixed], [mixed.T, flat.T @ flat]])[None]
-        load = np.concatenate([load[0], target.ravel() @ flat])[None]
-    basis = orthonormal(gram)
-    weights = (basis @ (basis.mT @ load[..., None]))[..., 0]
-    amplitudes, coefficients = weights[:, :count], weights[0, count:]
-    rest = target - g.mT @ (amplitudes[..., None] * across)
-    if others.size:
-        rest -= others @ coefficients
+        g = g * weight
+    across, turned = (part[..., [1, 0]] * (1.0, -1.0) for part in (phases, by_q))
+    columns = (g[..., None, :] * across[:, None, :, None]).reshape(pieces, count, 2 * size)
+    if pieces == 1 and rows.unknowns.size:
+        others = rows.unknowns.transpose(2, 1, 0).reshape(1, -1, 2 * size)
+        columns = np.concatenate([columns, others], axis=1)
+    basis = orthonormal(columns @ columns.mT)
+    weights = (basis @ (basis.mT @ (columns @ target[..., None])))[..., 0]
+    rest = target - (weights[:, None] @ columns)[:, 0]
     move = np.zeros(len(q))
     if len(q):
-        # d psi/d theta = a g_1 + b g_2, its derivative by theta b g_1 - a g_2
-        late = amplitudes.reshape(len(g), -1, 2)[..., ::-1] * (1.0, -1.0)
-        late = late.reshape(len(g), count, 1) * across
-        moved = np.repeat(by_q * clock, 2, axis=1)[..., : 2 + shape.drifting]
-        vectors = np.concatenate(
-            [(amplitudes[..., None] * turned[:, None]).swapaxes(0, 1)]
-            + [(late * by[..., None][:, None]).swapaxes(0, 1) for by in np.moveaxis(moved, 2, 0)],
-            axis=2,
-        )  # (s, p, functions, 2)
-        parts = [g, *(g * axis[:, None] for axis in axes[: moved.shape[2]])]
-        functions = np.concatenate(parts, axis=1)
-        products = functions @ functions.mT
-        bent = vectors.transpose(0, 3, 1, 2) @ products[:, None]  # (s, 2, p, functions)
-        curvature = np.sum(bent @ vectors.transpose(0, 3, 2, 1), axis=(0, 1))
-        sizes = np.diagonal(curvature).copy()
-        inside = np.einsum("sdpi,id->spi", bent[..., :count], across)
-        if others.size:
-            mixed = np.tensordot(vectors[0], np.tensordot(functions[0], others, axes=1), axes=2)
-            inside = np.concatenate([inside, mixed[None]], axis=2)
-        inside = inside @ basis
-        curvature -= np.sum(inside @ inside.mT, axis=0)
-        slope = np.tensordot(vectors, functions @ rest, axes=([0, 2, 3], [0, 1, 2]))
-        steps = orthonormal(curvature, sizes)
-        move = steps @ (steps.T @ slope)
-    whole = rest.reshape(-1, 2)[: len(rows.target)]
+        amplitudes = weights[:, :count].reshape(pieces, -1, 2, 1)
+        heights = np.sum(amplitudes * g, axis=2)  # (s, J, n)
+        slopes = np.sum(amplitudes[:, :, ::-1] * np.array([[1.0], [-1.0]]) * g, axis=2)
+        moved = np.tensordot(by_q, axes, axes=1).transpose(2, 0, 1, 3) * slopes[:, None]
+        bent = turned.transpose(0, 2, 1) @ heights[:, None] + across.T @ moved  # (s, p, 2, n)
+        bent = bent.reshape(pieces, len(q), -1)
+        curvature = np.sum(bent @ bent.mT, axis=0)
+        inside = bent @ columns.mT @ basis
+        steps = orthonormal(curvature - np.sum(inside @ inside.mT, axis=0), np.diagonal(curvature))
+        move = steps @ (steps.T @ np.sum(bent @ rest[..., None], axis=0)[:, 0])
+    whole = rest.reshape(pieces, 2, size).swapaxes(1, 2).reshape(-1, 2)[: len(rows.target)]
     residual = float(np.sum(whole**2))
-    return ShapeFit(shape, q, amplitudes[0], coefficients, whole, residual, move)
+    return ShapeFit(shape, q, weights[0, :count], weights[0, count:], whole, residual, move)
 
 
 def descended(
