@@ -21,11 +21,8 @@ from sparsefit.flight.waves import Formula
 
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
-INTEGRATION = 1e-13  # relative and absolute tolerance; leaves a defect below 1e-12 m/s per sample
 EVEN = 1e-6  # of a sample interval: steps that differ by less do so by rounding
 STRIDE = 0.25  # a first step, in 1/(1/tau + U0 pi/L): that long DOP853 keeps to the tolerance
-EXPLICIT = 200  # steps of DOP853 in an interval: an equation that needs more is stiff
-IMPLICIT = 100_000  # steps of LSODA, which then takes over
 EVALUATIONS = (10_000_000, 2_000)  # of the right-hand side: in all, and more for each sample
 _LSODA = threading.Lock()  # its state is one for the whole process
 
@@ -223,12 +220,14 @@ def _integrate(
         for stiff in (False, True):
             if row == last:
                 break
-            solver, tolerance = ode(right_hand_side), (10 if stiff else 1) * INTEGRATION
+            solver = ode(right_hand_side)
+            # The defect is below 1e-12 m/s a sample. An equation is stiff that takes more steps.
+            tolerance, steps = (1e-12, 100_000) if stiff else (1e-13, 200)
             solver.set_integrator(
                 "lsoda" if stiff else "dop853",
                 rtol=tolerance,
                 atol=tolerance,
-                nsteps=IMPLICIT if stiff else EXPLICIT,
+                nsteps=steps,
                 first_step=0.0 if stiff else first,
             )
             solver.set_initial_value(states[row], time[row])

@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from typing import Any, NamedTuple, TypeAlias
@@ -194,8 +195,9 @@ class Layout:
             def at(place: int, column: str = column) -> str:
                 return f"{row(place)}, column {column}"
 
-            if name == "time" and not unit and _is_moments(cells[column]):
-                values[name], epoch = _since_first(cells[column], at)
+            moments = _since_first(cells[column], at) if name == "time" and not unit else None
+            if moments:
+                values[name], epoch = moments
             else:
                 values[name] = _factor(name, unit) * _numbers(cells[column], at)
         words = ", ".join(f"{name} = {source}" for name, source in sources.items())
@@ -261,16 +263,6 @@ def _matching(wanted: str, names: list[str]) -> list[str]:
     return []
 
 
-def _is_moments(cells: Cells) -> bool:
-    """Whether the first cell is a time of a calendar, or at least no number."""
-    if cells.dtype.kind == "O" and len(cells):
-        try:
-            float(cells[0])
-        except ValueError:
-            return True
-    return bool(cells.dtype.kind == "M")
-
-
 def _numbers(cells: Cells, at: Callable[[int], str]) -> Array:
     """The numbers (m,). Raises `InputError`, naming the row, where a cell is none."""
     if cells.dtype.kind == "M":
@@ -286,14 +278,22 @@ def _numbers(cells: Cells, at: Callable[[int], str]) -> Array:
     return values
 
 
-def _since_first(cells: Cells, at: Callable[[int], str]) -> tuple[Array, datetime | None]:
-    """Seconds since the first moment (m,), and that moment; `InputError` where a cell is none."""
+def _since_first(cells: Cells, at: Callable[[int], str]) -> tuple[Array, datetime | None] | None:
+    """Seconds since the first moment (m,), and that moment; None where the first is a number.
+
+    Raises InputError, naming the row, where a cell is no moment.
+    """
     if cells.dtype.kind == "M":
         empty = np.flatnonzero(np.isnat(cells))
         if len(empty):
             raise InputError(f"{at(int(empty[0]))} is empty; repair or drop it")
         first = cells[:1].astype("datetime64[us]").astype(np.int64)
         return (cells - cells[:1]) / np.timedelta64(1, "s"), moment_at(*first.tolist())
+    if cells.dtype.kind != "O" or not len(cells):
+        return None
+    with suppress(ValueError):
+        float(cells[0])
+        return None
     moments = [_moment(cell) for cell in cells]
     if None in moments:
         row = moments.index(None)

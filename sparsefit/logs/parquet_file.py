@@ -12,9 +12,6 @@ from sparsefit.errors import InputError
 from sparsefit.logs.flight_table import FlightTable, said
 from sparsefit.logs.layout import Cells, Layout, check_size
 
-_WIDEST = 64  # bytes of a cell, in the mean, that a column of a flight may unpack to
-_SPARE = 1 << 20  # bytes beside these: pages and dictionaries of short files
-
 
 def encode(table: FlightTable) -> bytes:
     """Return the file's content."""
@@ -47,7 +44,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
                 raise InputError(f"column {name} holds {kind}; it must hold numbers")
             place = [meta.schema.column(i).path for i in range(meta.num_columns)].index(name)
             unpacked = sum(group.column(place).total_uncompressed_size for group in groups)
-            if unpacked > _WIDEST * meta.num_rows + _SPARE:
+            if unpacked > 64 * meta.num_rows + (1 << 20):  # bytes, and of pages and dictionaries
                 size = f"column {name} unpacks to {unpacked / 1e6:.0f} MB for {meta.num_rows} rows"
                 raise InputError(f"{size}: no log of a flight; write it again")
         table = source.read(columns=wanted)

@@ -62,7 +62,20 @@ def plane_of(
             wider than 2000 km.
         MissingExtra: without pyproj.
     """
-    _check(longitude, latitude, *names)
+    x, y = names
+    swap = f"latitude and longitude look swapped: exchange them, x={y}, y={x}"
+    low, high = float(latitude.min()), float(latitude.max())
+    if max(-low, high) > 90.0:
+        remedy = swap if np.abs(longitude).max() <= 90.0 else "check the columns and their units"
+        raise InputError(f"{y} goes to {low:g} … {high:g}°, no latitude; {remedy}")
+    if longitude.min() < -180.0 or longitude.max() > 360.0:
+        ends = f"{longitude.min():g} … {longitude.max():g}°"
+        raise InputError(f"{x} goes to {ends}, no longitude; check the columns and their units")
+    if np.median(np.abs(latitude)) > POLAR and np.abs(longitude).max() <= POLAR:
+        raise InputError(f"{y} tells latitudes of {low:.4g} … {high:.4g}°, at a pole; {swap}")
+    crossed = x.casefold().startswith("lat") and y.casefold().startswith("lon")
+    if crossed and np.median(np.abs(longitude)) <= POLAR:  # else the header has them wrong
+        raise InputError(f"x = {x} and y = {y}: x is east, the longitude; {swap}")
     # In one piece past 180 degrees.
     longitude = longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
     middle = [(float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude)]
@@ -84,20 +97,3 @@ def plane_of(
     place = f"{abs(north):.4f}° {'NS'[north < 0]}, {abs(west):.4f}° {'EW'[west < 0]}"
     words = f"local plane about {place}, lengths true to {share:.1g} %"
     return Plane(position, turned, words, (east, north))
-
-
-def _check(longitude: Array, latitude: Array, x: str, y: str) -> None:
-    """Refuse what is no longitude and latitude, or looks exchanged."""
-    swap = f"latitude and longitude look swapped: exchange them, x={y}, y={x}"
-    low, high = float(latitude.min()), float(latitude.max())
-    if max(-low, high) > 90.0:
-        remedy = swap if np.abs(longitude).max() <= 90.0 else "check the columns and their units"
-        raise InputError(f"{y} goes to {low:g} … {high:g}°, no latitude; {remedy}")
-    if longitude.min() < -180.0 or longitude.max() > 360.0:
-        ends = f"{longitude.min():g} … {longitude.max():g}°"
-        raise InputError(f"{x} goes to {ends}, no longitude; check the columns and their units")
-    if np.median(np.abs(latitude)) > POLAR and np.abs(longitude).max() <= POLAR:
-        raise InputError(f"{y} tells latitudes of {low:.4g} … {high:.4g}°, at a pole; {swap}")
-    crossed = x.casefold().startswith("lat") and y.casefold().startswith("lon")
-    if crossed and np.median(np.abs(longitude)) <= POLAR:  # else the header has them wrong
-        raise InputError(f"x = {x} and y = {y}: x is east, the longitude; {swap}")

@@ -23,11 +23,7 @@ from sparsefit.model.columns import sines_and_cosines
 from sparsefit.model.shapes import Shape
 
 RANK = 1e-12  # eigenvalues of a scaled Gram matrix below this, relative, are dropped
-ITERATIONS, HALVINGS = 25, 5  # of a descent, and of one of its moves
-LONGEST = 0.5  # of a move, in pi over the extent and over the duration
-END, SLIGHT = 1e-3, 1e-5  # of moves, in these units, and of RSS: where a descent ends
-CAUGHT = 0.05  # of moves in pieces: the whole goes on from there
-SEEN = 3  # of the last falls of RSS, by which a descent is judged
+END = 1e-3  # of moves, in pi over the extent and over the duration: where a descent ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,19 +184,20 @@ def descended(
     """The shape moved from q (p,) to the least RSS in reach.
 
     It ends where it would not come below ``goal``, RSS, even if all its moves gained as much as
-    the last ones.
+    the last three, where RSS falls by less than 1e-5, and after 25 moves. In pieces the whole goes
+    on from a twentieth of a lobe.
     """
     here, reach = fitted(rows, shape, q, pieces), rows.reach(pieces)
-    falls = [math.inf] * SEEN
-    for remaining in range(ITERATIONS, 0, -1):
-        if here.residual - remaining * max(falls[-SEEN:]) > goal:
+    falls = [math.inf] * 3
+    for remaining in range(25, 0, -1):
+        if here.residual - remaining * max(falls[-3:]) > goal:
             return here
         moved = np.tensordot(here.move, shape.phases(here.q)[1], axes=1)
         longest = float(np.abs(moved / reach).max(initial=0.0))
-        if longest <= (END if pieces == 1 else CAUGHT):
+        if longest <= (END if pieces == 1 else 0.05):
             return here
-        move = here.move * min(1.0, LONGEST / longest)
-        for _ in range(HALVINGS):
+        move = here.move * min(1.0, 0.5 / longest)
+        for _ in range(5):
             there = fitted(rows, shape, here.q + move, pieces)
             if there.residual < here.residual:
                 break
@@ -209,7 +206,7 @@ def descended(
             return here
         falls.append(here.residual - there.residual)
         here = there
-        if falls[-1] <= SLIGHT * here.residual:
+        if falls[-1] <= 1e-5 * here.residual:
             return here
     return here
 

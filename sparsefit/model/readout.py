@@ -40,7 +40,7 @@ Refine = Literal["none", "variable-projection", "ladder"]
 Scales = Literal["one", "several"]
 
 UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
-MOST_SCALES, MOST_WAVES = 6, 12  # that are read: of several length scales, and of waves
+MOST_WAVES = 12  # that are read
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
     chosen: list[Window] = []
     for i in np.argsort(-strength, kind="stable"):
         apart = all(abs(k[i] - other) > lobe for other, _, _ in chosen)
-        if apart and top[i] and len(chosen) < MOST_SCALES:
+        if apart and top[i] and len(chosen) < 6:
             low, high = max(float(below[i]), bounds[0]), min(float(above[i]), bounds[1])
             chosen.append((float(k[i]), low, high))
     return tuple(chosen)

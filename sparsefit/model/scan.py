@@ -22,12 +22,8 @@ from sparsefit.cached import cached_property
 from sparsefit.model.grid import Bounds, extent_of, middle
 
 FLAT = 1e-2  # of m: eigenvalues of the Gram matrix below it are those of a constant
-ACCURACY = 1e-4  # of sums, relative to the number of rows
 MOST_SINGLE = 2_048  # steps from the middle of a grid: its sums then round to 1e-4 of the rows
-LINE_STEP = 0.5  # of a scan along a line, in 1/extent: the phase of a row turns by as many radians
-MOST_PLACES = 500_000  # wavevectors of the plane, 0.1 s; longer tracks are cut into pieces
-MOST_WAVES = 300_000  # wavevectors and frequencies
-FEWEST_PIECES, FEW = 4, 12  # of a scan in pieces, and rows of a piece, at least
+FEWEST_PIECES = 4  # of a scan in pieces
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,7 @@ class FourierSums:
             *nodes,
             np.ascontiguousarray(loads, dtype=both),
             size if len(size) > 1 else size[0],
-            eps=ACCURACY,
+            eps=1e-4,  # of the rows
             isign=1,
             nthreads=1,
             upsampfac=1.25 if single else 2.0,
@@ -120,8 +116,11 @@ def peaks(values: Array, most: int | None = None) -> IntArray:
 
 
 def line_steps(extent: float, bounds: Bounds) -> int:
-    """The steps of a scan of square cells along the axes between bounds of k = pi/L [1/m]."""
-    return max(8, math.ceil((bounds[1] - bounds[0]) * extent / LINE_STEP))
+    """The steps of a scan of square cells along the axes between bounds of k = pi/L [1/m].
+
+    The phase of a row turns by half a radian a step at most.
+    """
+    return max(8, math.ceil((bounds[1] - bounds[0]) * extent / 0.5))
 
 
 def axis_gains(
@@ -172,14 +171,14 @@ class WaveScan:
     def of(
         cls, place: Array, radii: Bounds, fastest: float = 0.0, weight: Array | None = None
     ) -> WaveScan | None:
-        """The scan in the fewest pieces that can be looked at; None where there is none."""
+        """The scan in the fewest pieces that take .1 s; None where these have too few rows."""
         scan = cls(place, radii, fastest, FEWEST_PIECES if fastest else 1, weight)
-        most = MOST_WAVES if fastest else MOST_PLACES
+        most = 300_000 if fastest else 500_000
         while math.prod(2 * half + 1 for half in scan.halves) * scan.pieces > most * (
             1 if scan.pieces == 1 else FEWEST_PIECES
         ):
             pieces = max(FEWEST_PIECES, scan.pieces + scan.pieces // 4)
-            if len(place) < FEW * pieces:
+            if len(place) < 12 * pieces:
                 return None
             scan = cls(place, radii, fastest, pieces, weight)
         return scan
