@@ -6,6 +6,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from sparsefit.errors import InputError
+
 Array: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ComplexArray: TypeAlias = NDArray[np.complex128]
@@ -16,6 +18,35 @@ def box(places: Array) -> tuple[Array, Array]:
     """The least and the largest of each column (c,) of places (m, c): two corners of their box."""
     sides = np.ascontiguousarray(places.T)  # along rows numpy looks six times faster
     return sides.min(axis=1), sides.max(axis=1)
+
+
+def frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
+    """A read-only float64 copy of finite numbers of a shape: ("m", 2), m of any length.
+
+    Text, dates, complex, masked and ragged input is refused, not cast.
+
+    Raises:
+        InputError: by name, shape and row.
+    """
+    try:
+        raw = np.asarray(given)
+    except ValueError:
+        raise InputError(f"{name} must be an array of numbers; its rows differ in length") from None
+    if raw.dtype.kind not in "iuf" or np.ma.is_masked(given):
+        kind = "masked values" if np.ma.is_masked(given) else f"type {raw.dtype}"
+        raise InputError(f"{name} must be an array of real numbers; got {kind}")
+    array: Array = np.array(raw, dtype=np.float64, order="C")
+    pairs = zip(shape, array.shape, strict=False)
+    if array.ndim != len(shape) or any(own != size for own, size in pairs if own != "m"):
+        text = ", ".join(map(str, shape)) + "," * (len(shape) == 1)
+        raise InputError(f"{name} must have shape ({text}); got {array.shape}")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        place = f"row {bad[0][0]}" + (f", {'xy'[bad[0][1]]}" if array.ndim == 2 else "")
+        value = array[tuple(bad[0])]
+        raise InputError(f"{name} must be finite: {place} is {value}; drop or repair that row")
+    array.flags.writeable = False
+    return array
 
 
 class Brief:

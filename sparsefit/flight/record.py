@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray, Brief
+from sparsefit.arrays import Array, BoolArray, Brief, frozen
 from sparsefit.errors import InputError, non_negative, one_of
 from sparsefit.flight.flow import Flow, as_flow
 from sparsefit.flight.vehicle import MOST_SAMPLES, PointMassVehicle
@@ -73,16 +73,16 @@ class Flight(Brief):
         Raises:
             InputError: as `Flight` does.
         """
-        t, x = _frozen("time", time, ("m",)), _frozen("position", position, ("m", 2))
-        _check_clock(t, x, x)
+        t, x = frozen("time", time, ("m",)), frozen("position", position, ("m", 2))
+        _check_rows(t, x, x)
         return cls(t, x, np.gradient(x, t, axis=0), vehicle, flow, False, thrust, frame)
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""
-        time = _frozen("time", self.time, ("m",))
-        position = _frozen("position", self.position, ("m", 2))
-        velocity = _frozen("velocity", self.velocity, ("m", 2))
-        _check_clock(time, position, velocity)
+        time = frozen("time", self.time, ("m",))
+        position = frozen("position", self.position, ("m", 2))
+        velocity = frozen("velocity", self.velocity, ("m", 2))
+        _check_rows(time, position, velocity)
         if not isinstance(self.vehicle, PointMassVehicle):
             raise InputError(f"vehicle must be a PointMassVehicle; got {self.vehicle!r}")
         one_of("frame", self.frame, FRAMES)
@@ -91,7 +91,8 @@ class Flight(Brief):
         object.__setattr__(self, "velocity", velocity)
         object.__setattr__(self, "flow", as_flow(self.flow))
         if self.thrust is not None:
-            thrust = _frozen("thrust", self.thrust, ("m", 2))
+            thrust = frozen("thrust", self.thrust, ("m", 2))
+            _check_size("thrust", thrust)
             if len(thrust) != len(time):
                 words = f"thrust has {len(thrust)} rows for {len(time)} samples"
                 raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
@@ -137,37 +138,17 @@ def level_of(name: str, value: object, unit: str) -> float:
     return level
 
 
-def _frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
-    """Return a read-only float64 copy, or refuse by name, shape and row.
-
-    Text, dates, complex, masked and ragged input is refused, not cast.
-    """
-    try:
-        raw = np.asarray(given)
-    except ValueError:
-        raise InputError(f"{name} must be an array of numbers; its rows differ in length") from None
-    if raw.dtype.kind not in "iuf" or np.ma.is_masked(given):
-        kind = "masked values" if np.ma.is_masked(given) else f"type {raw.dtype}"
-        raise InputError(f"{name} must be an array of real numbers; got {kind}")
-    array = np.array(raw, dtype=np.float64, order="C")
-    if array.ndim != len(shape) or array.shape[1:] != shape[1:]:
-        text = "(m,)" if len(shape) == 1 else "(m, 2)"
-        raise InputError(f"{name} must have shape {text}; got {array.shape}")
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        place = f"row {bad[0][0]}" + (f", {'xy'[bad[0][1]]}" if array.ndim == 2 else "")
-        value = array[tuple(bad[0])]
-        raise InputError(f"{name} must be finite: {place} is {value}; drop or repair that sample")
-    large = np.argwhere(np.abs(array) > LARGEST)
+def _check_size(name: str, values: Array) -> None:
+    large = np.argwhere(np.abs(values) > LARGEST)
     if len(large):
-        value = array[tuple(large[0])]
-        raise InputError(f"{name} is {value:g} in row {large[0][0]}: no flight; change the unit")
-    array.flags.writeable = False
-    return array
+        value = f"{values[tuple(large[0])]:g} in row {large[0][0]}"
+        raise InputError(f"{name} is {value}: no flight; change the unit")
 
 
-def _check_clock(time: Array, position: Array, velocity: Array) -> None:
-    """Refuse rows that are not one per sample, too few, or at times that do not increase."""
+def _check_rows(time: Array, position: Array, velocity: Array) -> None:
+    """Refuse rows not one per sample, too few, absurdly large, or at times that do not increase."""
+    for name, values in (("time", time), ("position", position), ("velocity", velocity)):
+        _check_size(name, values)
     counts = (len(time), len(position), len(velocity))
     if len(set(counts)) != 1:
         raise InputError(

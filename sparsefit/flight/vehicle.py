@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, frozen
 from sparsefit.errors import InputError, finite, is_real, non_negative, pair, positive
 
 MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
@@ -138,18 +138,12 @@ class ThrustSeries:
 
     def __post_init__(self) -> None:
         """Check both and freeze them."""
-        time, given = _series(self.time), np.array(self.acceleration, dtype=np.float64)
+        time = frozen("time of the thrust", self.time, ("m",))
         if len(time) < 2 or not (np.diff(time) > 0).all():
             raise InputError("the thrust needs two times or more, increasing strictly")
-        if given.shape != (len(time), 2) or not np.isfinite(given).all():
-            raise InputError(
-                f"the thrust must be finite accelerations ({len(time)}, 2) [m/s^2], a row for each "
-                f"time; got shape {given.shape}"
-            )
-        for array in (time, given):
-            array.flags.writeable = False
+        rows = frozen("acceleration of the thrust", self.acceleration, (len(time), 2))
         object.__setattr__(self, "time", time)
-        object.__setattr__(self, "acceleration", given)
+        object.__setattr__(self, "acceleration", rows)
 
     def at(self, time: object) -> Array:
         """The acceleration [m/s^2] at times (m,) [s], (m, 2).
@@ -157,7 +151,7 @@ class ThrustSeries:
         Raises:
             InputError: for a time that the series does not cover.
         """
-        sought = _series(time)
+        sought = frozen("time", time, ("m",))
         first, last = float(self.time[0]), float(self.time[-1])
         slack = 1e-6 * (last - first) / (len(self.time) - 1)  # of the mean step: rounding
         if sought.min() < first - slack or sought.max() > last + slack:
@@ -204,13 +198,3 @@ def turning(
     turned = 2.0 * np.pi * time / period + phase
     circle = np.stack([np.cos(turned), np.sin(turned)], axis=1)
     return ThrustSeries(time, np.array(constant) + finite("thrust", size, "m/s^2") * circle)
-
-
-def _series(given: object) -> Array:
-    try:
-        values: Array = np.array(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("time must be an array of numbers, (k,)") from None
-    if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
-        raise InputError(f"time must be finite numbers, (k,); got shape {values.shape}")
-    return values

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, frozen
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, is_integer, one_of, positive
 
@@ -113,23 +113,13 @@ class WaveFlow(Flow):
 
     def __post_init__(self) -> None:
         """Check the waves and store them as read-only arrays."""
-        waves = len(np.atleast_1d(np.asarray(self.wavevectors)))
-        if self.frequencies is None:
-            object.__setattr__(self, "frequencies", np.zeros(waves))
-        for name in ("wavevectors", "cosine", "sine", "frequencies"):
-            try:
-                array = np.array(getattr(self, name), dtype=np.float64)
-            except (TypeError, ValueError):
-                raise InputError(f"WaveFlow: {name} must be an array of real numbers") from None
-            shape = (waves, 2) if name == "wavevectors" else (waves,)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise InputError(
-                    f"WaveFlow: {name} must hold finite numbers, shape {shape}, a row per wave; "
-                    f"got shape {array.shape}"
-                )
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        if not waves or not np.hypot(*self.wavevectors.T).all():
+        k = frozen("WaveFlow: wavevectors", self.wavevectors, ("m", 2))
+        object.__setattr__(self, "wavevectors", k)
+        for name in ("cosine", "sine", "frequencies"):
+            given = getattr(self, name)
+            given = np.zeros(len(k)) if given is None and name == "frequencies" else given
+            object.__setattr__(self, name, frozen(f"WaveFlow: {name}", given, (len(k),)))
+        if not len(k) or not np.hypot(*k.T).all():
             raise InputError("WaveFlow needs at least one wave, and no wavevector may be (0, 0)")
 
     @property

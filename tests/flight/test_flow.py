@@ -192,8 +192,8 @@ def test_bad_shapes_are_named(changes, message):
     [
         (([[0.0, 0.0]], [1.0], [1.0]), "no wavevector may be"),
         (([], [], []), "shape"),
-        (([[1.0, 0.0]], [1.0, 2.0], [1.0]), r"cosine must hold finite numbers, shape \(1,\)"),
-        (([[1.0, 0.0]], [1.0], [math.inf]), "sine must hold finite numbers"),
+        (([[1.0, 0.0]], [1.0, 2.0], [1.0]), r"cosine must have shape \(1,\); got \(2,\)"),
+        (([[1.0, 0.0]], [1.0], [math.inf]), "sine must be finite: row 0 is inf"),
         (([[1.0, 0.0]], ["a"], [1.0]), "cosine must be an array of real numbers"),
     ],
 )
