@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import SETTING, Option, collected, number, whole
+from sparsefit.cli.options import SETTING, Option, collected, key_value, number
 from sparsefit.errors import InputError, told_with
 
 if TYPE_CHECKING:
@@ -13,46 +13,27 @@ if TYPE_CHECKING:
 
 LONGEST = 16_000_000  # bytes of an estimator file
 METRES = number("m")
-OPTIONS = {  # (section, key) of an estimator's record: the option that sets it
-    ("derivative", "method"): Option(
-        "--derivative", "auto (default), forward, central, midpoint, savgol or weak", "METHOD"),
-    ("derivative", "window"): Option("--window", "of savgol (5 samples) or weak", "N", whole),
-    ("derivative", "order"): Option("--order", "of savgol (4) or weak (8)", "N", whole),
-    ("derivative", "repair"): Option(
-        "--no-repair", "leave outliers, gaps and uneven steps as they are",
-        read=None, extra={"action": "store_false", "default": None}),
-    ("library.grid", "lower"): Option(
+OPTIONS = {  # the dotted key of an estimator: the option that sets it
+    "library.lower": Option(
         "--grid-lower", "least length scale sought; default: 1 m", "M", METRES),
-    ("library.grid", "upper"): Option("--grid-upper", "largest one; default: 12 m", "M", METRES),
-    ("library.grid", "step"): Option(
-        "--grid-step", "between candidates; default: 0.2 m", "M", METRES),
-    ("library", "family"): Option(
-        "--family", "of the library: cells (default) or waves", "NAME"),
-    ("library", "groups"): Option("--groups", "of waves: wave (default), ring or nested", "NAME"),
-    ("library", "target"): Option(
-        "--target", "flow-velocity (default), acceleration or state-derivative", "NAME"),
-    ("library", "unknown"): Option(
+    "library.upper": Option("--grid-upper", "largest one; default: 12 m", "M", METRES),
+    "library.step": Option("--grid-step", "between candidates; default: 0.2 m", "M", METRES),
+    "library.unknown": Option(
         "--unknown", "estimated with the flow: response_time, drag, thrust_scale, "
         "thrust_acceleration, wind", "NAME", extra={"nargs": "+"}),
-    ("readout", "length_scale"): Option(
-        "--length-scale-readout", "group-norm (default), absolute-sum or signed-sum", "NAME"),
-    ("readout", "mean_velocity"): Option(
-        "--mean-velocity-readout", "rms (default) or paper", "NAME"),
-    ("readout", "refine"): Option(
-        "--refine", "ladder (default: off the grid, with shape, heading and drift), "
-        "variable-projection (off the grid, steady square cells along the axes only) or none "
-        "(the candidate itself)", "NAME"),
-    ("readout", "scales"): Option(
-        "--scales", "one (default) or several: all cellular flows that are superposed, as the "
-        "back-end proposes them", "NAME"),
-    ("backend", "name"): Option(
-        "--backend", "that picks the candidates; default: group-lasso", "NAME"),
-    ("backend", ""): SETTING,
-    ("", "free"): Option(
+    "free": Option(
         "--free", "measured with the flow, as a misfit names it: latency, velocity_scale, lag ...; "
         "auto: whatever is found", "NAME", extra={"nargs": "+"}),
+    "backend.name": Option(
+        "--backend", "that picks the candidates; default: group-lasso", "NAME"),
 }  # fmt: skip
+SET = Option(
+    "--set", "any other key of [derivative], [library] or [readout] of a study file, as "
+    "library.family=waves; repeat it for more than one", "SECTION.KEY=VALUE", key_value,
+    {"action": "append"},
+)  # fmt: skip
 ESTIMATOR = Option("--estimator", "estimator.json, as written by sparsefit select", "FILE")
+ALL = (ESTIMATOR, *OPTIONS.values(), SETTING, SET)
 
 
 def estimator_of(args: argparse.Namespace) -> Estimator:
@@ -61,42 +42,40 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
     Raises:
         InputError: with the option, or with the file and its key, that is wrong.
     """
-    names = {place: option.flags.removeprefix("--") for place, option in OPTIONS.items()}
-    values = {
-        place: value
-        for place, name in names.items()
-        if (value := getattr(args, name.replace("-", "_"))) is not None
-    }
+    given = [option for option in ALL[1:] if getattr(args, option.dest) is not None]
     if args.estimator is not None:
-        if values:
-            first = names[next(iter(values))]
-            raise InputError(f"--{first} and --estimator cannot both be given; drop one")
+        if given:
+            first = given[0].flags
+            raise InputError(f"{first} and --estimator cannot both be given; drop one")
         return read_estimator(args.estimator)
-    return _built(values)
+    values = {key: getattr(args, item.dest) for key, item in OPTIONS.items() if item in given}
+    settings = {f"backend.{key}": value for key, value in collected(args.setting).items()}
+    return _built(values | settings | collected(args.set))
 
 
-def _built(values: dict[tuple[str, str], Any]) -> Estimator:
-    """The estimator with the given values by section and key, and defaults for the others."""
+def _built(values: dict[str, Any]) -> Estimator:
+    """The estimator with the given values by dotted key, and defaults for the others."""
     from sparsefit.codec import Place
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.estimator.saved import parts_of
+    from sparsefit.model import LengthScaleGrid
 
     class TypedPlace(Place):
         def error(self, problem: str) -> InputError:
-            option = OPTIONS.get((self.section, self.key))
-            return InputError(f"{option.flags} {problem}" if option else problem)
+            key = f"{self.section}.{self.key}".strip(".").replace("library.grid.", "library.")
+            option = OPTIONS[key].flags if key in OPTIONS else f"--set {key}"
+            return InputError(f"{option} {problem}" if self.key else problem)
 
-    # A window or an order belongs to savgol: the automatic choice has neither.
-    if {("derivative", "window"), ("derivative", "order")} & set(values):
-        values.setdefault(("derivative", "method"), "savgol")
-    settings = collected(values.pop(("backend", ""), None))
-    free = values.pop(("", "free"), [])
     record: dict[str, Any] = {"library": {}, "backend": {"name": "group-lasso"}}
-    for (section, key), value in values.items():
-        record.setdefault(section, {})[key] = value
-    record["library"]["grid"] = record.pop("library.grid", {})
-    record["backend"] |= settings
-    record["free"] = "auto" if free == ["auto"] else free
+    grid: dict[str, Any] = {}
+    for dotted, value in values.items():
+        section, _, key = dotted.rpartition(".")
+        of_grid = section == "library" and hasattr(LengthScaleGrid, key)
+        place = grid if of_grid else record.setdefault(section, {}) if section else record
+        place[key] = value
+    record["library"]["grid"] = grid
+    if record.get("free") == ["auto"]:
+        record["free"] = "auto"
     return Estimator(**parts_of(record, TypedPlace("")))
 
 

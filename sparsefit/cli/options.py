@@ -74,6 +74,11 @@ class Option:
     read: Callable[[str], Any] | None = str
     extra: Mapping[str, Any] | None = None
 
+    @property
+    def dest(self) -> str:
+        """The name of the value among the arguments."""
+        return self.flags.split()[-1].removeprefix("--").replace("-", "_")
+
 
 def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:
     """The option of a key of a study file, with the words of the key."""

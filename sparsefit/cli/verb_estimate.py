@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sparsefit.cli.estimator_file import ESTIMATOR, OPTIONS, estimator_of
+from sparsefit.cli.estimator_file import ALL, estimator_of
 from sparsefit.cli.options import FORCE, JSON, Option, Verbs, declare, number, verb
 from sparsefit.cli.terminal import check_output, emit
 from sparsefit.errors import InputError, one_line, told_with
@@ -25,9 +25,9 @@ EXAMPLE = """\
   sparsefit estimate monday.csv tuesday.csv
   sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
   sparsefit estimate flight.csv --estimator estimator.json
-  sparsefit estimate flight.csv --scales several
+  sparsefit estimate flight.csv --set readout.scales=several
   sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
-  sparsefit estimate flight.csv --family waves --grid-lower 3 --json
+  sparsefit estimate flight.csv --set library.family=waves --grid-lower 3 --json
   sparsefit estimate flight.csv --unknown response_time thrust_acceleration
   sparsefit estimate flight.csv --plot flight.svg
   sparsefit estimate log.ulg --unknown response_time --from 60 --to 300
@@ -71,7 +71,7 @@ def add(verbs: Verbs) -> None:
     parser = verb(verbs, "estimate", run, summary=summary, example=EXAMPLE)
     declare(parser, (FLIGHT, JSON, PLOT, FORCE))
     declare(parser.add_argument_group("log"), LOG)
-    declare(parser.add_argument_group("estimator"), (ESTIMATOR, *OPTIONS.values()))
+    declare(parser.add_argument_group("estimator"), ALL)
     vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
     declare(vehicle, VEHICLE.values())
 

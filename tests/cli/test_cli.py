@@ -182,7 +182,7 @@ def test_estimate_prints_standard_errors_and_intervals(capsys, tmp_path):
     assert high - value == pytest.approx(1.96 * spread, rel=0.02)
     code, out, _ = run(capsys, "estimate", path, "--json")
     assert json.loads(out)["uncertainty"]["length_scale"] == pytest.approx(spread, rel=0.1)
-    assert "±" not in run(capsys, "estimate", path, "--refine", "none")[1]
+    assert "±" not in run(capsys, "estimate", path, "--set", "readout.refine=none")[1]
 
 
 def test_estimate_prints_parameters_with_units_or_one_object(capsys, flight):
@@ -228,10 +228,11 @@ def test_settings_are_read_as_toml_scalars(capsys, flight):
 
 def test_options_of_the_estimator_reach_it(capsys, flight):
     options = ("--grid-lower", "3", "--grid-upper", "5", "--grid-step", "0.5")
-    options += ("--derivative", "savgol", "--window", "7", "--order", "3", "--target")
-    options += ("acceleration", "--length-scale-readout", "absolute-sum")
+    pairs = ("derivative.method=savgol", "derivative.window=7", "derivative.order=3")
+    pairs += ("library.target=acceleration", "readout.length_scale=absolute-sum")
+    options += tuple(item for pair in pairs for item in ("--set", pair))
     _, out, _ = run(
-        capsys, "estimate", flight, *options, "--mean-velocity-readout", "paper", "--json"
+        capsys, "estimate", flight, *options, "--set", "readout.mean_velocity=paper", "--json"
     )
     found = json.loads(out)
     assert [scale for scale, _ in found["weights_by_scale"]] == [3.0, 3.5, 4.0, 4.5, 5.0]
@@ -255,8 +256,8 @@ def test_estimator_file_is_used(capsys, flight):
     _, out, _ = run(capsys, "estimate", flight, "--estimator", "estimator.json", "--json")
     assert json.loads(out)["backend"] == "lasso"
     assert json.loads(out)["columns"] == 24
-    err = refused(capsys, "estimate", flight, "--estimator", "estimator.json", "--window", "7")
-    assert "--window and --estimator cannot both be given" in err
+    err = refused(capsys, "estimate", flight, "--estimator", "estimator.json", "--grid-step", "7")
+    assert "--grid-step and --estimator cannot both be given" in err
 
 
 CHANGES = {
@@ -291,9 +292,12 @@ def test_estimate_refuses_a_flight_that_is_none(capsys, flight, words):
         (("--grid-lower", "13"), "upper (12 m) is below lower"),
         (("--grid-step", "1e-6"), "more than the 2048 that can be held"),
         (("--grid-step", "4cm"), "give it in m, without the unit"),
-        (("--window", "4"), "window must be"),
-        (("--window", "5001"), "longer than the flight"),
-        (("--target", "flow"), "--target has unknown value 'flow' (known: acceleration, "),
+        (("--set", "derivative.method=savgol", "--set", "derivative.window=4"), "window must be"),
+        (("--set", "derivative.method=savgol", "--set", "derivative.window=5001"), "longer than"),
+        (("--set", "library.target=flow"), "--set library.target has unknown value 'flow' (known"),
+        (("--set", "library.famly=1"), '--set library.famly unknown: did you mean "family"?'),
+        (("--set", "libary.step=1"), '--set libary unknown: did you mean "library"?'),
+        (("--set", "library.lower=-1"), "lower must be"),
         (("--response-time", "-1"), "response_time must be"),
         (("--estimator", "missing.json"), "cannot read missing.json"),
         (("--estimator", "flight.csv"), "not an estimator"),
@@ -448,4 +452,7 @@ def test_repairs_are_told_and_can_be_left_out(capsys, flight):
     assert re.search(r"^repaired +2 outliers replaced$", out, re.MULTILINE)
     _, out, _ = run(capsys, "estimate", "dirty.csv", "--json", *COARSE)
     assert json.loads(out)["repairs"]["outliers"] == 2
-    assert "repaired" not in run(capsys, "estimate", "dirty.csv", "--no-repair", *COARSE)[1]
+    assert (
+        "repaired"
+        not in run(capsys, "estimate", "dirty.csv", "--set", "derivative.repair=false", *COARSE)[1]
+    )

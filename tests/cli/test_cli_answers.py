@@ -59,7 +59,7 @@ def test_no_vehicle_is_needed_where_it_is_unknown(capsys):
 
 
 def test_json_has_what_was_estimated_and_null_for_the_rest(capsys):
-    options = ("--unknown", "wind", "response_time", "--derivative", "weak", "--json")
+    options = ("--unknown", "wind", "response_time", "--set", "derivative.method=weak", "--json")
     record = json.loads(printed(capsys, "windy.csv", *GRID, *options))
     assert record["wind"] == pytest.approx([1.0, -2.0], rel=1e-5)
     assert record["response_time"] == pytest.approx(0.5, rel=1e-5)
@@ -92,7 +92,7 @@ def test_noise_is_told_with_the_response_time(capsys):
 
 
 def test_every_flow_has_its_line(capsys):
-    lines = printed(capsys, "two.csv", "--scales", "several").splitlines()
+    lines = printed(capsys, "two.csv", "--set", "readout.scales=several").splitlines()
     rows = [re.split(" +", line, maxsplit=4)[4] for line in lines if line.startswith("flow ")]
     for row, expected in zip(rows, ([10.0, 3.1, 0.31], [5.0, 4.4, 0.88]), strict=True):
         *parts, heading = row.split(", ")
@@ -103,7 +103,7 @@ def test_every_flow_has_its_line(capsys):
 
 
 @pytest.mark.parametrize(
-    ("options", "sizes"), [((), [3.1, 4.4]), (("--refine", "variable-projection"), [])]
+    ("options", "sizes"), [((), [3.1, 4.4]), (("--set", "readout.refine=variable-projection"), [])]
 )
 def test_json_lists_the_flows_that_the_ladder_finds(capsys, options, sizes):
     out = verbs.run(capsys, "estimate", "two.csv", *options, "--json")[1]
@@ -114,7 +114,10 @@ def test_json_lists_the_flows_that_the_ladder_finds(capsys, options, sizes):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--scales", "two"), "--scales has unknown value 'two' (known: one, several)"),
+        (
+            ("--set", "readout.scales=two"),
+            "readout.scales has unknown value 'two'",
+        ),
         (("--unknown", "wind", "thrust_acceleration"), "cannot both be unknown"),
     ],
 )
