@@ -13,7 +13,7 @@ Source of the conventions: scikit-learn, "Developing scikit-learn estimators".
 
 import warnings
 from dataclasses import field, fields, make_dataclass
-from typing import Any, Self, TypeAlias, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -125,12 +125,25 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         if groups.shape != (columns,):
             words = f"groups must have one label per column: X has {columns} columns"
             raise InputError(f"{words}, groups the shape {groups.shape}")
-        named_as = getattr(self, "feature_names_in_", [f"x{i}" for i in range(columns)])
+        names = np.array(getattr(self, "feature_names_in_", [f"x{i}" for i in range(columns)]))
         values = target.astype(np.float64).reshape(samples, -1)
-        posed = _sparse if issparse(design) else _dense
-        problem, varies, mean, level = posed(
-            design, values, groups, np.array(named_as), weight, centred=self.fit_intercept
-        )
+        varies = _varying(design[weight > 0], centred=self.fit_intercept)
+        labels = (groups[varies], names[varies].tolist())
+        mean, level = np.zeros(columns), np.zeros(values.shape[1])
+        if issparse(design):  # it stays as it is: means and roots of weights are in its sums
+            used: Any = design if varies.all() else cast(Any, design)[:, varies]
+            problem = RegressionProblem.from_arrays(
+                used, values, *labels, sample_weight=weight, intercept=self.fit_intercept
+            )
+            mean[varies] = problem.means
+            level = problem.intercept_of(np.zeros((len(problem.names), len(level))))
+        else:
+            if self.fit_intercept:
+                mean, level = (np.average(v, axis=0, weights=weight) for v in (design, values))
+            root = np.sqrt(weight[weight > 0])[:, None]
+            theta, rest = (design[weight > 0] - mean) * root, (values[weight > 0] - level) * root
+            used = theta if varies.all() else theta[:, varies]
+            problem = RegressionProblem.from_arrays(used, rest, *labels)
         fitted = certified(problem, backend, tolerance=self.certificate_tolerance)
         words = f"{fitted.status}: {fitted.reason}"
         if not np.isfinite(fitted.weights).all():
@@ -173,50 +186,16 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         return named(self.backend)
 
 
-Posed: TypeAlias = tuple[RegressionProblem, BoolArray, Array, Array]
-"""A problem of the columns that vary, which these are (k,), means (k,) and levels (n,)."""
+def _varying(design: Any, *, centred: bool) -> BoolArray:
+    """Which columns (k,) vary, or are not zero where nothing is centred.
 
-
-def _dense(
-    design: Array, values: Array, groups: Any, names: Any, weight: Array, *, centred: bool
-) -> Posed:
-    """sqrt(s) (x - mean) and sqrt(s) (y - level) of the samples with a weight s above 0.
-
-    Raises FitFailed where no column varies.
+    Raises FitFailed where none does.
     """
-    mean, level = np.zeros(design.shape[1]), np.zeros(values.shape[1])
-    if centred:
-        mean, level = (np.average(part, axis=0, weights=weight) for part in (design, values))
-    counted = weight > 0
-    root = np.sqrt(weight[counted])[:, None]
-    theta, size = (design[counted] - mean) * root, np.abs(design[counted] * root)
-    varies = _varying(np.abs(theta).max(axis=0) > CONSTANT * size.max(axis=0))
-    used = theta if varies.all() else theta[:, varies]
-    target = (values[counted] - level) * root
-    problem = RegressionProblem.from_arrays(used, target, groups[varies], names[varies].tolist())
-    return problem, varies, mean, level
-
-
-def _sparse(
-    design: Any, values: Array, groups: Any, names: Any, weight: Array, *, centred: bool
-) -> Posed:
-    """The problem of a sparse matrix, which stays as it is: means and roots are in its sums."""
-    counted = design[weight > 0]
-    low, high = (getattr(counted, end)(axis=0).toarray().ravel() for end in ("min", "max"))
-    limit = CONSTANT * np.maximum(np.abs(low), np.abs(high)) if centred else 0.0
-    varies = _varying((high - low > limit) if centred else (low != 0) | (high != 0))
-    used = (design if varies.all() else design[:, varies]).tocsc()
-    problem = RegressionProblem.from_arrays(
-        used, values, groups[varies], names[varies].tolist(), sample_weight=weight,
-        intercept=centred,
-    )  # fmt: skip
-    mean, level = np.zeros(len(varies)), np.zeros(values.shape[1])
-    if problem.adjusted is not None and centred:
-        mean[varies], level = problem.means, problem.adjusted.levels
-    return problem, varies, mean, level
-
-
-def _varying(varies: BoolArray) -> BoolArray:
+    low, high = design.min(axis=0), design.max(axis=0)
+    if issparse(design):
+        low, high = low.toarray().ravel(), high.toarray().ravel()
+    limit = CONSTANT * np.maximum(np.abs(low), np.abs(high))
+    varies: BoolArray = (high - low > limit) if centred else (low != 0) | (high != 0)
     if not varies.any():
         raise FitFailed("every column of X is constant: there is nothing to choose from")
     return varies

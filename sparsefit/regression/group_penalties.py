@@ -37,8 +37,8 @@ class GroupNorms(Penalty):
         return self.groups
 
     @property
-    def joint(self) -> bool:
-        return self.together
+    def coupled(self) -> bool:
+        return self.together or self.loss.coupled
 
     @cached_property
     def _layout(self) -> tuple[IntArray | None, IntArray]:
@@ -122,8 +122,8 @@ class NestedNorms(Penalty):
     inner: AbsoluteValues | GroupNorms
 
     @property
-    def joint(self) -> bool:
-        return self.outer.joint
+    def coupled(self) -> bool:
+        return self.outer.together or self.loss.coupled
 
     @property
     def blocks(self) -> IntArray:
@@ -134,7 +134,7 @@ class NestedNorms(Penalty):
         return total
 
     def block_dual_norms(self, values: Array) -> Array:
-        outer, joint = self.outer, self.outer.joint
+        outer, joint = self.outer, self.outer.together
         home = np.zeros(len(self.inner.weights), dtype=np.intp)
         home[self.inner.blocks] = outer.groups
         order, starts = in_order(home, len(outer.weights))

@@ -56,14 +56,9 @@ class Penalty(ABC):
         """The minimiser over V of |V - values|^2/2 + step * norm(V), values (k, n)."""
 
     @property
-    def joint(self) -> bool:
-        """Whether a block spans all targets."""
-        return False
-
-    @property
     def coupled(self) -> bool:
-        """Whether the targets of a problem are one problem, and not one each."""
-        return self.joint or self.loss.coupled
+        """Whether the targets are one problem, as a block spans them all, and not one each."""
+        return self.loss.coupled
 
     @property
     def blocks(self) -> IntArray:

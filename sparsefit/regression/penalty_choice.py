@@ -103,11 +103,15 @@ def degrees_of_freedom(
     """
     if isinstance(penalty, AbsoluteValues) and not penalty.ridge:
         return float(np.count_nonzero(weights))
+    if not weights.any():
+        return 0.0
     if not penalty.coupled and weights.shape[1] > 1:
         parts = zip(weights.T[:, :, None], pull.T[:, :, None], strict=True)
         return sum(degrees_of_freedom(design, *each, alpha, penalty) for each in parts)
     ridge = alpha * penalty.ridge
-    on, factor = penalty.slope(weights + pull - ridge * weights, weights, alpha)
+    origin = weights + pull - ridge * weights
+    # A prox has exact ties, where weights of one cluster may differ by rounding.
+    on, factor = penalty.slope(origin, penalty.prox(origin, alpha), alpha)
     if not len(on):
         return 0.0
     column, target = np.divmod(on, weights.shape[1])

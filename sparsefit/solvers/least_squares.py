@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import MissingExtra, described, one_line
 from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
@@ -95,10 +95,9 @@ class STLSQ(Checked):
                 f"{problem.samples} samples are fewer than {problem.columns} columns and ridge "
                 "is 0: the first solve is not unique; set ridge above 0 or use lasso",
             )
-        system = _System.of(problem, self)
         support = np.ones((problem.columns, problem.targets), dtype=bool)
         for iteration in range(1, self.max_iterations + 1):
-            previous, (values, support) = support, system.thresholded(support)
+            previous, (values, support) = support, self._thresholded(problem, support)
             if not support.any():
                 words = f"threshold {self.threshold:g} removed every column; lower it"
                 empty = f"empty support: {words}"
@@ -108,103 +107,80 @@ class STLSQ(Checked):
         names = zip(problem.target_names, support.T, strict=True)
         bare = ", ".join(name for name, on in names if not on.any())
         note = f"support of {bare} is empty" if bare else ""
-        return Solution(self._final(system, values, support), reason=note, iterations=iteration)
+        weights = self._unscaled(problem, values, support)
+        return Solution(weights, reason=note, iterations=iteration)
 
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
         """The weights (k, n) that one more iteration makes of the support of these."""
-        system = _System.of(problem, self)
-        return self._final(system, *system.thresholded(weights != 0))
+        return self._unscaled(problem, *self._thresholded(problem, weights != 0))
 
-    def _final(self, system: "_System", values: Array, support: BoolArray) -> Array:
-        if self.unbias:
-            return system.least_squares(support)
-        return values / system.scale[:, None]
+    def _rule(self, problem: RegressionProblem) -> tuple[Array, Array, Array]:
+        """In columns of unit rms: ridge (k,), threshold (k, n), and the unit (k,) of a column."""
+        rms, level = problem.design.rms, np.sqrt(problem.statistics.target_square)
+        assert self.threshold is not None  # it was resolved when the settings were made
+        if self.mode == "scaled":
+            unit = np.ones(len(rms))
+            return self.ridge * unit, self.threshold * np.multiply.outer(unit, level), unit
+        limit = self.threshold * np.multiply.outer(rms, np.ones(len(level)))
+        return self.ridge / (problem.samples * rms**2), limit, rms
 
-
-@dataclass(frozen=True, eq=False)
-class _System:
-    """Normal equations (k, k) and (k, n) in the units in which ridge and threshold (n,) act.
-
-    scale (k,): of the columns; rows: what the normal equations were divided by.
-    """
-
-    problem: RegressionProblem
-    gram: Array
-    cross: Array
-    scale: Array
-    ridge: float
-    threshold: Array
-    rows: int
-
-    @classmethod
-    def of(cls, problem: RegressionProblem, settings: STLSQ) -> "_System":
-        s, least = problem.statistics, settings.threshold
-        assert least is not None  # resolved when the settings were made
-        if settings.mode == "scaled":
-            limit = least * np.sqrt(s.target_square)
-            return cls(problem, s.gram, s.cross, s.rms, settings.ridge, limit, s.samples)
-        gram, cross = s.gram * (s.rms[:, None] * s.rms * s.samples), s.cross * s.rms[:, None]
-        limit = np.full(len(s.target_square), least)
-        ones = np.ones_like(s.rms)
-        return cls(problem, gram, cross * s.samples, ones, settings.ridge, limit, 1)
-
-    def thresholded(self, support: BoolArray) -> tuple[Array, BoolArray]:
-        """The ridge fits (k, n) on a support (k, n) where they reach the threshold, and where."""
-        values = np.zeros(support.shape)
-        alike: dict[bytes, list[int]] = {}
-        for t in range(support.shape[1]):  # targets that share a support share a factor
-            alike.setdefault(support[:, t].tobytes(), []).append(t)
-        for targets in alike.values():
-            on = np.flatnonzero(support[:, targets[0]])
-            if len(on):
-                values[on[:, None], targets] = self._ridge_fit(on, targets)
-        large = (np.abs(values) >= self.threshold) & support
-        return np.where(large, values, 0.0), large
-
-    def _ridge_fit(self, on: IntArray, targets: list[int]) -> Array:
+    def _thresholded(
+        self, problem: RegressionProblem, support: BoolArray
+    ) -> tuple[Array, BoolArray]:
+        """Ridge fits V (k, n) on a support (k, n) where they reach the threshold, and where."""
         from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # an estimator loads without it
 
-        # Whole rows first, which is five times faster than rows and columns at once.
-        block = self.gram.take(on, 0).take(on, 1)
-        block.flat[:: len(on) + 1] += self.ridge
-        size, floor = float(np.trace(block)), len(on) * np.finfo(float).eps
-        factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
-        # The ridge bounds |inverse|_1 by sqrt(n) / ridge; only where that is too little, estimate.
-        safe = self.ridge > 2.0 * floor * size * np.sqrt(len(on))
-        if failed == 0 and (safe or dpocon(factor, size, uplo="L")[0] > floor):
-            solution: Array = dpotrs(factor, self.cross[on[:, None], targets], lower=1)[0]
-            return solution
-        # A ridge that rounds away in Z'Z still counts beside Z: the same problem by its rows.
-        design = self.problem.design
-        rows = design.columns(on) * (design.rms[on] / self.scale[on])
-        columns = np.vstack([rows, np.sqrt(self.ridge * self.rows) * np.eye(len(on))])
-        target = np.vstack([self.problem.target[:, targets], np.zeros((len(on), len(targets)))])
-        least: Array = np.linalg.lstsq(columns, target, rcond=None)[0]
-        return least
+        values, data = np.zeros(support.shape), problem.statistics
+        ridge, limit, unit = self._rule(problem)
+        for pattern in np.unique(support, axis=1).T:  # targets that share a support share a factor
+            on, targets = np.flatnonzero(pattern), (support == pattern[:, None]).all(axis=0)
+            if not len(on):
+                continue
+            # Whole rows first, which is five times faster than rows and columns at once.
+            block = data.gram.take(on, 0).take(on, 1)
+            block.flat[:: len(on) + 1] += ridge[on]
+            size, floor = float(np.trace(block)), len(on) * np.finfo(float).eps
+            factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
+            # The ridge bounds |inverse|_1 by sqrt(n) / ridge; only where that is too little,
+            # estimate.
+            safe = ridge[on].min() > 2.0 * floor * size * np.sqrt(len(on))
+            if failed == 0 and (safe or dpocon(factor, size, uplo="L")[0] > floor):
+                solution = dpotrs(factor, data.cross[np.ix_(on, targets)], lower=1)[0]
+            else:  # a ridge that rounds away in Z'Z still counts beside Z: by the rows
+                lift = unit[on] * np.sqrt(ridge[on] * problem.samples)
+                columns = np.vstack([problem.design.columns(on) * unit[on], np.diag(lift)])
+                rows = problem.target[:, targets]
+                rows = np.vstack([rows, np.zeros((len(on), rows.shape[1]))])
+                solution = np.linalg.lstsq(columns, rows, rcond=None)[0] * unit[on, None]
+            values[np.ix_(on, targets)] = solution
+        large = (np.abs(values) >= limit) & support
+        return np.where(large, values, 0.0), large
 
-    def least_squares(self, support: BoolArray) -> Array:
-        """Ordinary least squares of each target on its own support, in the units of theta.
+    def _unscaled(self, problem: RegressionProblem, values: Array, support: BoolArray) -> Array:
+        """Weights in the units of theta: of the ridge fits, or least squares on their support.
 
         Singular values below UNBIAS_RCOND of the largest count as zero, as scikit-learn's
         LinearRegression (which PySINDy calls) has them.
         """
         from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
-        s, weights = self.problem.statistics, np.zeros(support.shape)
+        design, data, (*_, unit) = problem.design, problem.statistics, self._rule(problem)
+        if not self.unbias:
+            return values / design.rms[:, None]
+        weights = np.zeros(support.shape)
         for t in np.flatnonzero(support.any(axis=0)):
             on = np.flatnonzero(support[:, t])
-            columns, target = self.problem.design.columns(on), self.problem.target[:, t]
-            factor, failed = dpotrf(s.gram.take(on, 0).take(on, 1), lower=1)
+            columns, target = design.columns(on), problem.target[:, t]
+            factor, failed = dpotrf(data.gram.take(on, 0).take(on, 1), lower=1)
             if failed or dpocon(factor, 1.0 * len(on), uplo="L")[0] < SAFE_RCOND:
-                lift = s.rms[on] / self.scale[on]
-                least = np.linalg.lstsq(columns * lift, target, rcond=UNBIAS_RCOND)[0]
-                weights[on, t] = least / self.scale[on]
-                continue
-            value = dpotrs(factor, s.cross[on, t], lower=1)[0]
-            for _ in range(2):  # corrected semi-normal equations: as accurate as QR here
-                gradient = columns.T @ (target - columns @ value) / s.samples
-                value = value + dpotrs(factor, gradient, lower=1)[0]
-            weights[on, t] = value / s.rms[on]
+                least = np.linalg.lstsq(columns * unit[on], target, rcond=UNBIAS_RCOND)[0]
+                value = least * unit[on]
+            else:
+                value = dpotrs(factor, data.cross[on, t], lower=1)[0]
+                for _ in range(2):  # corrected semi-normal equations: as accurate as QR here
+                    gradient = columns.T @ (target - columns @ value) / data.samples
+                    value = value + dpotrs(factor, gradient, lower=1)[0]
+            weights[on, t] = value / design.rms[on]
         return weights
 
 

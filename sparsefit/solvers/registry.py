@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, is_dataclass
 from functools import cache, partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from scipy import sparse
@@ -45,31 +45,12 @@ if TYPE_CHECKING:
 __all__ = [
     "BEHIND_CVXPY",
     "Recipe",
-    "Solver",
     "answers",
     "shipped_solvers",
     "solver",
     "solver_names",
 ]
 SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **dict.fromkeys(PEERS, Peer)}
-
-
-class Solver(Protocol):
-    """A solver of penalised least squares: a frozen dataclass whose fields are its settings."""
-
-    @property
-    def name(self) -> str:
-        """The name that studies use; a text of the class."""
-        ...
-
-    def path(
-        self, design: Any, target: Array, penalty: Any, alphas: Array, tolerance: float | None
-    ) -> Array | Timed:
-        """Weights (p, k, n) of columns of unit rms at descending alphas (p,).
-
-        tolerance: where it stops, in its own measure; None leaves the choice to it.
-        """
-        ...
 
 
 @cache
@@ -90,7 +71,7 @@ def shipped_solvers() -> set[str]:
     return {*SHIPPED, *BEHIND_CVXPY}
 
 
-def solver(name: str, **settings: Any) -> Solver:
+def solver(name: str, **settings: Any) -> Any:
     """The solver of that name with these settings.
 
     Raises InputError on an unknown name or setting or a value out of range, MissingExtra where a
@@ -131,7 +112,7 @@ class Recipe:
         """The entry of a public solver, else the class: its optional texts."""
         return None if self.command else PEERS.get(self.name if not self.file else "", self.owner)
 
-    def make(self) -> Solver:
+    def make(self) -> Any:
         """The solver. Raises InputError on an unknown name or setting, MissingExtra as `solver`."""
         if self.command:
             folder = str(Path(self.file).parent) if self.file else "."
@@ -141,7 +122,7 @@ class Recipe:
             extra = getattr(self._texts, "extra", self.package)
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
         preset = {"name": self.name} if owner in (Peer, Cvxpy) else {}
-        return cast(Solver, made(f"solver {self.name}", owner, self.settings, **preset))
+        return made(f"solver {self.name}", owner, self.settings, **preset)
 
     @property
     def missing(self) -> str:
@@ -172,7 +153,7 @@ class Recipe:
 
 
 def answers(
-    solver: Solver,
+    solver: Any,
     problem: RegressionProblem,
     penalty: Any,
     alpha_fractions: Sequence[float],
@@ -215,7 +196,7 @@ def answers(
 
 
 @cache
-def _classes_of(file: str) -> Mapping[str, type[Solver]]:
+def _classes_of(file: str) -> Mapping[str, type[Any]]:
     """The solvers that a Python file defines, by name."""
     path = Path(file)
     module_name = f"sparsefit_solvers_of_{path.stem}"
@@ -236,13 +217,13 @@ def _classes_of(file: str) -> Mapping[str, type[Solver]]:
     return {cls.name: _checked(cls.name, cls) for cls in classes}
 
 
-def _checked(name: str, cls: Any) -> type[Solver]:
+def _checked(name: str, cls: Any) -> type[Any]:
     frozen = is_dataclass(cls) and cast(Any, cls).__dataclass_params__.frozen
     if not (frozen and callable(getattr(cls, "path", None)) and isinstance(cls.name, str)):
         raise InputError(
             f"solver {name!r} is not a frozen dataclass with a text `name` and a `path` method"
         )
-    return cast(type[Solver], cls)
+    return cast(type[Any], cls)
 
 
 @dataclass(frozen=True)

@@ -269,7 +269,7 @@ def exact_gap(theta, target, rms, weights, alpha, penalty):
         for i in range(m)
     ]
     primal, dual = mp.mpf(0), mp.mpf(0)
-    for block in [range(n)] if penalty.joint else [[t] for t in range(n)]:
+    for block in [range(n)] if penalty.coupled else [[t] for t in range(n)]:
         square = mp.fsum(residual[i][t] ** 2 for i in range(m) for t in block)
         product = mp.fsum(residual[i][t] * float(target[i, t]) for i in range(m) for t in block)
         peak, norm = mp.mpf(0), mp.mpf(0)

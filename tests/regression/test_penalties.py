@@ -65,7 +65,7 @@ def test_the_prox_minimises_what_it_says_and_the_slope_is_its_derivative(
 def test_the_dual_norm_is_the_largest_product_in_the_unit_ball(penalty: Penalty) -> None:
     pull = np.random.default_rng(1).normal(size=(K, N))
     if not np.isfinite(getattr(penalty, "upper", np.array(np.inf))).any():  # a box is no gauge
-        for targets in [slice(None)] if penalty.joint else [slice(0, 1), slice(1, 2)]:
+        for targets in [slice(None)] if penalty.coupled else [slice(0, 1), slice(1, 2)]:
             variable = cvxpy.Variable(pull[:, targets].shape)
             norm, constraints = penalty.conic(variable, cvxpy)
             gain = cvxpy.sum(cvxpy.multiply(pull[:, targets], variable))

@@ -180,6 +180,7 @@ def divergence(problem, penalty, name, alpha, **more):
         ("group-lasso", {"separate": True}),
         ("sparse-group-lasso", {"l1_ratio": 0.3}),
         ("ridge", {}),
+        ("slope", {}),
     ],
 )
 def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
@@ -192,6 +193,17 @@ def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
     pull = statistics.cross - statistics.gram @ scaled
     found = degrees_of_freedom(statistics.design, scaled, pull, alpha, penalty)
     assert found == pytest.approx(divergence(problem, penalty, name, alpha, **more), abs=2e-3)
+
+
+def test_degrees_of_freedom_of_runs_are_how_many_there_are():
+    problem, backend = regular(targets=1), backends.get("fused-lasso")
+    penalty = backend.penalty(problem)
+    for fit in sf.path(problem, backend, 8).fits:
+        values = fit.weights * problem.design.rms[:, None]
+        pull = problem.statistics.cross - problem.statistics.gram @ values
+        found = degrees_of_freedom(problem.design, values, pull, fit.alpha, penalty)
+        run = np.cumsum(np.abs(np.diff(values[:, 0], prepend=np.inf)) > 1e-7)
+        assert found == pytest.approx(len(set(run[np.abs(values[:, 0]) > 1e-7])))
 
 
 def test_degrees_of_freedom_of_nothing_and_of_everything():

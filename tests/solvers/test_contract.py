@@ -327,7 +327,7 @@ def test_orthonormal_columns_give_soft_thresholding(case, seed):
     blocks = [
         np.ix_(np.flatnonzero(penalty.blocks == g), targets)
         for g in range(len(penalty.weights))
-        for targets in ([[0, 1]] if penalty.joint else [[0], [1]])
+        for targets in ([[0, 1]] if penalty.coupled else [[0], [1]])
     ]
     weight = [penalty.weights[penalty.blocks[b[0][0, 0]]] for b in blocks]
     alpha = 0.3 * max(np.linalg.norm(s.cross[b]) / w for b, w in zip(blocks, weight, strict=True))
