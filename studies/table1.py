@@ -8,10 +8,9 @@ def weights(cases, study):
     shown = cases.drop_duplicates(["protocol", "backend"])
     figure, grid = panels(len(shown), 1, height=0.6 + 1.3 * len(shown))
     titles = labels(list(shown["title"]), 80)
-    kept = study.weights.groupby("case_id")
     for (axes,), (_, case) in zip(grid, shown.iterrows(), strict=True):
-        own = kept.get_group(case["case_id"])
-        axes.vlines(own["length_scale"], 0.0, own["weight"], color=COLOURS[0], label="weight")
+        scales, sizes = zip(*sorted(study.again(case["case_id"]).estimate.weights_by_scale.items()))
+        axes.vlines(scales, 0.0, sizes, color=COLOURS[0], label="weight")
         axes.axvline(case["true_length_scale"], color=COLOURS[1], ls="--", label="true")
         axes.axvline(case["grid_length_scale"], color=COLOURS[2], ls=":", label="chosen")
         axes.set_title(titles[case["title"]], loc="left")

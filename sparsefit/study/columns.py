@@ -82,16 +82,16 @@ class Outcome:
     body: str = ""
 
 
-def body_of(values: Mapping[str, Value], weights: Sequence[tuple[float, float]] = ()) -> str:
-    """Values and (length scale [m], weight) pairs as JSON, empty values left out."""
-    content = {name: value for name, value in values.items() if value == value and value != ""}
-    return json.dumps([content, weights], separators=(",", ":"))
+def body_of(values: Mapping[str, Value | None]) -> str:
+    """Values as JSON, empty ones left out."""
+    content = {n: v for n, v in values.items() if v == v and v is not None and v != ""}
+    return json.dumps(content, separators=(",", ":"))
 
 
-def read_body(body: str) -> tuple[dict[str, Any], list[tuple[float, float]]]:
-    """The values and the weights of `body_of`."""
-    values, weights = json.loads(body)
-    return values, weights
+def read_body(body: str) -> dict[str, Any]:
+    """The values of `body_of`."""
+    values: dict[str, Any] = json.loads(body)
+    return values
 
 
 def outcome_of(
@@ -102,7 +102,7 @@ def outcome_of(
     Raises:
         ValueError, TypeError, LookupError: a status, a column or a value that there is not.
     """
-    values, weights = read_body(body)
+    values = read_body(body)
     if status not in STATUSES or not isinstance(reason, str):
         raise ValueError(f"a status that there is not: {status!r}"[:80])
     reason.encode()
@@ -114,8 +114,6 @@ def outcome_of(
             value.encode()
         elif kind is int and not -(2**63) <= value < 2**63:
             raise ValueError(f"{name} is too large")
-    for scale, weight in weights:
-        float(scale), float(weight)
     return Outcome(unit, cell, status, reason, values, body)
 
 

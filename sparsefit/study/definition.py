@@ -108,11 +108,6 @@ class Definition:
     on_board: bool = False
 
     @property
-    def keeps_weights(self) -> bool:
-        """Whether weights per length scale are stored beside the cases: a figure shows them."""
-        return "weights" in self.outputs.names["figures"]
-
-    @property
     def flights(self) -> FlightDesign:
         """The design of a study of flights."""
         if not isinstance(self.design, FlightDesign):

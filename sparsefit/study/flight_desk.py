@@ -271,10 +271,8 @@ class FlightDesk:
         for cell, fit in self._fits(prepared, chosen):
             estimate = self._estimator(cell).read(prepared, fit)
             values = Reading(estimate, fit, prepared.problem, flown).values | truth_of(flown.draw)
-            pairs = estimate.weights_by_scale.items() if self._definition.keeps_weights else ()
-            weights = sorted((float(scale), float(weight)) for scale, weight in pairs)
             reason = one_line(estimate.reason or "", MAX_REASON)
-            rows.append((cell.index, estimate.status, reason, body_of(values, weights)))
+            rows.append((cell.index, estimate.status, reason, body_of(values)))
         return {"rows": rows}
 
     def _fits(self, prepared: Prepared, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Fit]]:

@@ -90,7 +90,7 @@ def _rows_of(plan: Plan, folder: Path) -> dict[str, Row]:
 
 def _check_alike(plan: Plan, *sides: tuple[Path, Row]) -> None:
     """Refuse two rows of one case whose status or judged numbers differ."""
-    bodies = [read_body(row.body)[0] for _, row in sides]
+    bodies = [read_body(row.body) for _, row in sides]
     names = plan.experiment.judged
     numbers = np.array([[float(body.get(name, math.nan)) for name in names] for body in bodies])
     same = sides[0][1].status == sides[1][1].status

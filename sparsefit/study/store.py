@@ -25,7 +25,7 @@ import numpy as np
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study.columns import STATUSES, Outcome, body_of
-from sparsefit.study.export import CASES, WEIGHTS, Row, exported_rows, is_regular, write_rows
+from sparsefit.study.export import CASES, Row, exported_rows, is_regular, write_rows
 from sparsefit.study.manifest import MANIFEST, read_record
 from sparsefit.study.plan import Plan
 from sparsefit.whole_file import refusing
@@ -99,16 +99,11 @@ class Store:
     @classmethod
     @contextmanager
     def opened(cls, folder: Path, plan: Plan) -> Iterator[Store]:
-        """The store to write to, with the rows of an earlier export in it; synced at the end."""
+        """The store to write to; synced at the end."""
         store, path = cls.read(folder, plan), folder / STORE
         with _telling(path), closing(sqlite3.connect(path, timeout=60.0)) as base:
             base.execute(SCHEMA)
             store.base = base
-            there = {key for (key,) in base.execute("SELECT key FROM cases")}
-            for row in exported_rows(folder, plan):
-                if row.key not in there:
-                    store.put_row(row)
-            store.sync()
             try:
                 yield store
                 store.sync()
@@ -183,15 +178,13 @@ class Store:
 
     def rows(self) -> Iterator[Row]:
         """The whole rows of the plan, in its order."""
-        stored = self._every()
-        yield from (stored[key] for key in self.plan.keys if key in stored)
+        rows = self._every()
+        yield from (rows[key] for key in self.plan.keys if key in rows)
 
     def _every(self) -> dict[str, Row]:
         """Every whole row by its key: those of `cases.sqlite` over those of `cases.parquet`."""
-        stored = {row.key: row for row in self._stored() if row}
-        if self.base is None:  # once the store is open, all rows of the export are in it
-            stored = {row.key: row for row in exported_rows(self.folder, self.plan)} | stored
-        return stored
+        rows = (*exported_rows(self.folder, self.plan), *self._stored())
+        return {row.key: row for row in rows if row}
 
     def _stored(self) -> Iterator[Row | None]:
         """Every row of `cases.sqlite`; None for one whose checksum is wrong."""
@@ -214,20 +207,22 @@ class Store:
                     base.close()
 
     def export(self) -> bool:
-        """Write `cases.parquet` (and `weights.parquet`), all rows in plan order, each file whole.
+        """Write `cases.parquet`, the rows of the plan in its order, whole or not at all.
 
         Of the store only the rows stay that the study does not plan. Returns whether there are any.
         """
         self.sync()
-        stored = self._every()
-        planned = [stored.pop(key) for key in self.plan.keys if key in stored]
+        others = self._every()
+        planned = [others.pop(key) for key in self.plan.keys if key in others]
+        self.pending = list(others.values())  # those of an earlier export, too
+        self.sync()
         write_rows(self.folder, self.plan, planned)
-        if stored and self.base is not None:
-            self.base.execute("DELETE FROM cases")
-            self.pending = list(stored.values())
-            self.sync()
+        assert self.base is not None
+        with _telling(self.folder / STORE), self.base:
+            keys = [(row.key,) for row in planned if others]
+            self.base.executemany("DELETE FROM cases WHERE key = ?", keys)
         self.exported = True
-        return bool(stored)
+        return bool(others)
 
 
 def discard(folder: Path, *others: str) -> None:
@@ -239,7 +234,7 @@ def discard(folder: Path, *others: str) -> None:
 
 def clear(folder: Path) -> None:
     """Remove the rows and the manifest of whatever study was run here."""
-    discard(folder, CASES, WEIGHTS, MANIFEST)
+    discard(folder, CASES, MANIFEST)
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from sparsefit.errors import InputError
 from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.definition import Definition, definition_of, read_definition
-from sparsefit.study.export import cases_table, read_cases, read_weights
+from sparsefit.study.export import cases_table, read_cases
 from sparsefit.study.flight_desk import Reading, estimator_of, read_again
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import Outputs
@@ -284,11 +284,6 @@ class Study:
     def select(self, **rule: Any) -> Any:
         """The candidate to deploy, and why; options take the place of those in [select]."""
         return import_module("sparsefit.study.selection").select(self, **rule)
-
-    @property
-    def weights(self) -> pd.DataFrame:
-        """`case_id, length_scale [m], weight`, where the study keeps weights."""
-        return read_weights(self.folder)
 
     def table(self, entry: str | Mapping[str, object]) -> Any:
         """A table of the cases, by its name or options as in [outputs]."""

@@ -167,8 +167,9 @@ def damage(count):
         study = study_of(folder, "flights", 5)
         study.run(processes=1)
         exported = {path.name: path.read_bytes() for path in study.folder.iterdir()}
-        with Store.opened(study.folder, study.planned):
-            pass
+        with Store.opened(study.folder, study.planned) as store:
+            for row in list(store.rows()):
+                store.put_row(row)
         whole = (study.folder / STORE).read_bytes()
         expected = {row.key: row for row in Store.read(study.folder, study.planned).rows()}
         for seed in range(count):

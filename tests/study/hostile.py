@@ -18,7 +18,7 @@ import numpy as np
 
 from sparsefit.regression.backend import Solution
 
-NO_ROW = ("ok", "", "[{}, []]")
+NO_ROW = ("ok", "", "{}")
 FORGED = {
     "forge": {"number": 3, "answer": {"rows": [[0, *NO_ROW]]}},
     "empty": {},
