@@ -189,7 +189,7 @@ def test_cases_of_logs_have_an_estimate_and_no_error(folder):
     (row,) = desk.cases(2, [0])["rows"]
     assert study.experiment.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
     assert row[1] == "ok"
-    assert read_body(row[3])[0]["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
+    assert read_body(row[3])["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
 
 
 def test_a_log_that_changes_is_another_study(folder, flight):
