@@ -134,7 +134,7 @@ def test_simulate_spoils_the_log(capsys):
         (("--duration", "1e9"), "--duration at this sample_rate is 1e+11 samples"),
         (("--duration", "0.001"), "fly longer or sample faster"),
         (("--response-time", "0"), "--response-time must be above 0 [s], not 0"),
-        (("--thrust-acceleration", "5"), "expected 2 arguments"),
+        (("--thrust-acceleration", "5"), "argument --thrust-acceleration: "),
         (("--seed", "1.5"), "not a whole number"),
         (("--seed", "-1"), "seed must be"),
         (("--sed", "1"), '--sed 1: did you mean "--seed"?; see sparsefit simulate --help'),
