@@ -234,9 +234,13 @@ class _Descent:
         self.normal, self.cross, self.penalty = normal, cross, penalty
         self.rows, self.samples, self.target = normal.rows, normal.samples, normal.target.T / level
         self.starts = np.searchsorted(penalty.groups, _count(penalty.groups))
-        blocks = (self.rows[:, a:b] for a, b in pairwise(self.starts))
-        self.bend = np.array([np.linalg.eigvalsh(part.T @ part)[-1] for part in blocks])
-        self.bend /= self.samples
+        sizes = np.diff(self.starts)
+        self.bend = np.empty(len(sizes))
+        for size in np.unique(sizes).tolist():  # all blocks of a size at once
+            at = np.flatnonzero(sizes == size)
+            part = self.rows.T[self.starts[at][:, None] + np.arange(size)]
+            square = part @ part.transpose(0, 2, 1) / self.samples
+            self.bend[at] = np.linalg.eigvalsh(square)[:, -1]
 
     def settled(self, values: Array, alpha: float) -> tuple[Array, float, int]:
         """The optimum (q, j), its gap, and sweeps."""
