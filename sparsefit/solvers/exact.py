@@ -39,6 +39,7 @@ FEW = 600  # columns that are all in play at once
 START = 200  # columns in play at first
 SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
 AHEAD = 8  # penalties that are solved before all columns are asked
+NEAR = 0.1  # below alpha, where columns join block descent, which extra ones cost little
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
 IN_ROWS = ("newton", "block descent")  # kernels that need no G where columns are more than rows
 HELD = 2**25  # entries of the columns in play that are held as rows beside their products
@@ -181,7 +182,11 @@ def _with_working_set(
         assert part is not None
         on = OnColumns(play.normal, cross[play.index], part, units)
         stretch = KERNELS[name](on, here, attempts)
-        accepted, new = _objections(play, penalty, here, stretch.values)
+        in_use, m = int(stretch.values.any(axis=2).any(axis=0).sum()), design.shape[0]
+        if name == "variational" and 2 * in_use > m >= MANY and m * k <= HELD:
+            name = "block descent"
+        near = NEAR if name == "block descent" else 0.0
+        accepted, new = _objections(play, penalty, here, stretch.values, near)
         until = done + accepted
         weights[done:until, play.index] = stretch.values[:accepted]
         complete[done:until] = stretch.complete[:accepted]
@@ -190,9 +195,6 @@ def _with_working_set(
         ahead = min(AHEAD, 2 * ahead) if accepted == len(here) else max(accepted, 1)
         attempts |= dict(zip(here.tolist(), stretch.values, strict=True))
         if len(new):
-            in_use, m = int(stretch.values.any(axis=2).any(axis=0).sum()), design.shape[0]
-            if name == "variational" and in_use > m >= MANY and m * k <= HELD:
-                name = "block descent"
             in_rows = name in IN_ROWS and m * k <= HELD and len(play.index) + len(new) > m
             play = play.joined(new, not in_rows)
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
@@ -201,11 +203,12 @@ def _with_working_set(
 
 
 def _objections(
-    play: InPlay, penalty: Penalty, alphas: Array, values: Array
+    play: InPlay, penalty: Penalty, alphas: Array, values: Array, near: float
 ) -> tuple[int, IntArray]:
     """The penalties before the first at which a column outside objects, and those to join.
 
-    values (a, j, q) at alphas (a,).
+    values (a, j, q) at alphas (a,). With the columns that object join those as ``near`` to it, a
+    share of alpha.
     """
     count, size, q = values.shape
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
@@ -218,18 +221,20 @@ def _objections(
     for i in range(count):
         full[play.index] = values[i]
         excess = penalty.objections(pulls[i], full, float(alphas[i]))
-        excess[play.index] = -1.0
+        excess[play.index] = -2.0
         objecting = np.flatnonzero(excess > FEASIBLE)
         if not len(objecting):
             continue
         if not joining:
             first = i
+        if near:
+            objecting = np.flatnonzero(excess > -near)
         joining.append(objecting[np.argsort(-excess[objecting], kind="stable")])
         if len(joining) == 3:
             break
     if not joining:
         return count, np.zeros(0, dtype=np.intp)
-    most = max(size // 2, START // 4)
+    most = max(size if near else size // 2, START // 4)
     new = joining[0]
     for later in joining[1:]:
         if len(new) < most:

@@ -31,7 +31,7 @@ from sparsefit.solvers.newton import (
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 DESCENDED = 1e-9  # that of descent, which converges linearly
 EXTRAPOLATED = 5  # sweeps that descent extrapolates from
-MANY = 300  # rows, from which on descent is faster where more columns are in use
+MANY = 300  # rows, from which on descent is faster where half as many columns are in use
 MOST = 300  # sweeps at one penalty, before the variances take over
 CLUSTERED, SWEEPS = 500, 30  # rounds for clusters at one penalty, and the most sweeps of one
 ALIKE = 20  # rounds, after which the optimum of each face is taken, as columns are too much alike
@@ -192,27 +192,20 @@ def _count(groups: IntArray) -> IntArray:
 
 
 def block_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
-    """Group norms by block descent with extrapolation, where the groups in use outnumber the rows.
+    """Group norms by block descent with extrapolation, where those in use have half as many columns as rows.
 
+    Columns of a group are turned into its principal ones, which leaves the norm as it is.
     Source: Bertrand and Massias, "Anderson acceleration of coordinate descent" (AISTATS 2021).
     """
-    assert isinstance(on.penalty, GroupNorms)
-    assert on.normal.rows is not None
-    level, order = on.units.level, np.argsort(on.penalty.groups, kind="stable")
-    rows = np.asfortranarray(on.normal.rows[:, order])
-    penalty = replace(on.penalty, groups=on.penalty.groups[order])
-    descent = _Descent(
-        replace(on.normal, gram=None, rows=rows), on.cross[order] / level, penalty, level
-    )
-    attempts = dict(attempts)
+    descent, level, attempts = _Descent(on), on.units.level, dict(attempts)
     solved, gaps = np.empty((len(alphas), *on.cross.shape)), np.zeros(len(alphas))
     steps = np.zeros(len(alphas), np.intp)
     for i, alpha in enumerate(alphas.tolist()):
-        start = np.ascontiguousarray(_nearest(attempts, alpha)[1][order].T / level)
+        start = _nearest(attempts, alpha)[1] / level
         values, gaps[i], steps[i] = descent.settled(start, alpha / level)
-        solved[i, order] = values.T * level
-        attempts[alpha] = solved[i]
+        attempts[alpha] = solved[i] = values * level
         if gaps[i] > DESCENDED:  # columns are too much alike
+            assert on.normal.rows is not None
             gram = on.normal.rows.T @ on.normal.rows / on.normal.samples
             rest = variational(
                 replace(on, normal=replace(on.normal, gram=gram)), alphas[i:], attempts
@@ -226,30 +219,47 @@ def block_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
 
 
 class _Descent:
-    """Sweeps over neighbouring groups, in units of the target; values are (q, j)."""
+    """Sweeps over neighbouring groups of orthogonal columns, in units of the target.
 
-    def __init__(self, normal: Normal, cross: Array, penalty: GroupNorms, level: float) -> None:
-        assert normal.target is not None
-        assert normal.rows is not None
-        self.normal, self.cross, self.penalty = normal, cross, penalty
-        self.rows, self.samples, self.target = normal.rows, normal.samples, normal.target.T / level
-        self.starts = np.searchsorted(penalty.groups, _count(penalty.groups))
-        sizes = np.diff(self.starts)
-        self.bend = np.empty(len(sizes))
-        for size in np.unique(sizes).tolist():  # all blocks of a size at once
-            at = np.flatnonzero(sizes == size)
-            part = self.rows.T[self.starts[at][:, None] + np.arange(size)]
-            square = part @ part.transpose(0, 2, 1) / self.samples
-            self.bend[at] = np.linalg.eigvalsh(square)[:, -1]
+    order (j,): the columns by group; turns: of the groups of one size, the places (g, b) of their
+    columns in that order and the matrices (g, b, b) that make these orthogonal; rows Z (m, j) so
+    ordered and turned, square (j,): the mean squares of its columns.
+    """
 
-    def settled(self, values: Array, alpha: float) -> tuple[Array, float, int]:
-        """The optimum (q, j), its gap, and sweeps."""
-        penalty, residual, steps = self.penalty, self.target - values @ self.rows.T, 0
-        limits, everything = alpha * penalty.weights, np.arange(len(self.bend))
+    def __init__(self, on: OnColumns) -> None:
+        assert isinstance(on.penalty, GroupNorms)
+        assert on.normal.rows is not None
+        assert on.normal.target is not None
+        self.samples, self.target = on.normal.samples, on.normal.target.T / on.units.level
+        self.order = np.argsort(on.penalty.groups, kind="stable")
+        self.penalty = replace(on.penalty, groups=on.penalty.groups[self.order])
+        self.starts = np.searchsorted(self.penalty.groups, _count(on.penalty.groups))
+        rows, self.square = np.empty(on.normal.rows.T.shape), np.empty(len(self.order))
+        self.turns, sizes = [], np.diff(self.starts)
+        for size in np.unique(sizes).tolist():
+            at = self.starts[:-1][sizes == size][:, None] + np.arange(size)
+            part = on.normal.rows.T[self.order[at]]
+            self.square[at], turn = np.linalg.eigh(part @ part.transpose(0, 2, 1) / self.samples)
+            rows[at] = turn.transpose(0, 2, 1) @ part
+            self.turns.append((at, turn))
+        self.rows, self.cross = rows.T, rows @ self.target.T / self.samples
+
+    def turned(self, values: Array, back: bool = False) -> Array:
+        """Values (j, q), ordered by group, in the columns that are orthogonal, or back."""
+        out = np.empty_like(values)
+        for at, turn in self.turns:
+            out[at] = (turn if back else turn.transpose(0, 2, 1)) @ values[at]
+        return out
+
+    def settled(self, start: Array, alpha: float) -> tuple[Array, float, int]:
+        """The optimum (j, q) from another point, its gap, and sweeps."""
+        values, penalty, steps = self.turned(start[self.order]).T.copy(), self.penalty, 0
+        residual = self.target - values @ self.rows.T
+        limits = alpha * penalty.weights
 
         def swept(groups: IntArray) -> tuple[Array, Array]:
             compiled("sweeps").descend_groups(
-                *(self.rows, self.starts, groups, limits, self.bend, float(self.samples)),
+                *(self.rows, self.starts, groups, limits, self.square, float(self.samples)),
                 *(residual, values),
             )
             return values.copy(), residual.copy()
@@ -262,9 +272,11 @@ class _Descent:
             correlation = (residual @ self.rows).T / self.samples
             gap = relative_gap(values.T, correlation, self.cross, penalty, alpha)
             if gap <= DESCENDED or steps >= MOST:
-                return values, gap, steps
+                out = np.empty_like(start)
+                out[self.order] = self.turned(values.T, back=True)
+                return out, gap, steps
             steps += 1 + EXTRAPOLATED
-            trail = [swept(everything)]
+            trail = [swept(np.arange(len(limits)))]
             used = np.flatnonzero(penalty.block_norms(values.T).any(axis=1))
             trail += [swept(used) for _ in range(EXTRAPOLATED)]
             moves = np.stack([(after[0] - before[0]).ravel() for before, after in pairwise(trail)])

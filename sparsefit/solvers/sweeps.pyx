@@ -15,6 +15,10 @@ import numpy as np
 from libc.math cimport fabs, sqrt
 from scipy.linalg.cython_blas cimport daxpy, dgemv
 
+cdef enum:
+    NEWTON = 30  # the most steps to the norm of a group
+
+cdef double EXACT = 1e-14  # relative change of that norm that ends them
 cdef double SETTLED = 0.03  # of the largest move of clusters: what further sweeps gain little on
 
 
@@ -71,36 +75,51 @@ def descend_groups(
     const Py_ssize_t[::1] starts,
     const Py_ssize_t[::1] groups,
     const double[::1] limits,
-    const double[::1] bend,
+    const double[::1] square,
     double samples,
     double[:, ::1] residual,
     double[:, ::1] values,
 ):
     """Sweep once over some groups: group g has the columns starts[g] to starts[g + 1] of z (m, j).
 
-    limits alpha w (g,) and bend (g,), the largest eigenvalue of Z_g'Z_g/m, with which a group's
-    step cannot overshoot. residual (q, m) and values (q, j) are worked on in place.
+    The columns of a group are orthogonal, with square (j,) z_i'z_i/m. limits: alpha w (g,).
+    residual (q, m) and values (q, j) are worked on in place. With a_i = sum_t pull_ti^2, the norm n
+    of a group's optimum, v_i = n pull_i / (d_i n + limit), is the root of
+    1/sqrt(sum_i a_i / (d_i n + limit)^2) = 1, which is concave in n: Newton's method climbs to it.
     """
     cdef double[:, ::1] pull = np.empty((residual.shape[0], np.diff(starts).max()))
     cdef int m = z.shape[0], size, one = 1
     cdef Py_ssize_t j, g
-    cdef double square, share, move, per = 1.0 / samples, unit = 1.0, zero = 0.0
+    cdef double total, slope, norm, rise, share, limit, move
+    cdef double per = 1.0 / samples, unit = 1.0, zero = 0.0
     cdef double *block
     for place in range(groups.shape[0]):
         g = groups[place]
-        j, size = starts[g], starts[g + 1] - starts[g]
-        square, block = 0.0, <double *>&z[0, j]
+        j, size, limit = starts[g], starts[g + 1] - starts[g], limits[g]
+        total, norm, block = 0.0, 0.0, <double *>&z[0, j]
         for t in range(residual.shape[0]):
             dgemv(
                 "T", &m, &size, &per, block, &m, &residual[t, 0], &one, &zero, &pull[t, 0], &one
             )
             for i in range(size):
-                pull[t, i] += bend[g] * values[t, j + i]
-                square += pull[t, i] * pull[t, i]
-        share = max(1.0 - limits[g] / sqrt(square), 0.0) / bend[g] if square > 0.0 else 0.0
+                pull[t, i] += square[j + i] * values[t, j + i]
+                total += pull[t, i] * pull[t, i]
+        for _ in range(NEWTON if total > limit * limit else 0):
+            total = slope = 0.0
+            for t in range(residual.shape[0]):
+                for i in range(size):
+                    share = 1.0 / (square[j + i] * norm + limit)
+                    rise = pull[t, i] * pull[t, i] * share * share
+                    total += rise
+                    slope += rise * share * square[j + i]
+            rise = total * (sqrt(total) - 1.0) / slope if slope > 0.0 else 0.0
+            norm += max(rise, 0.0)
+            if not rise > EXACT * norm:
+                break
         for t in range(residual.shape[0]):
             move = 0.0
             for i in range(size):
+                share = norm / (square[j + i] * norm + limit) if norm > 0.0 else 0.0
                 pull[t, i] = values[t, j + i] - share * pull[t, i]
                 values[t, j + i] -= pull[t, i]
                 move += fabs(pull[t, i])
