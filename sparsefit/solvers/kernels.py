@@ -192,7 +192,7 @@ def _count(groups: IntArray) -> IntArray:
 
 
 def block_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
-    """Group norms by block descent with extrapolation, where half as many columns as rows are in use.
+    """Group norms by block descent with extrapolation, for many columns in use beside the rows.
 
     Columns of a group are turned into its principal ones, which leaves the norm as it is.
     Source: Bertrand and Massias, "Anderson acceleration of coordinate descent" (AISTATS 2021).
