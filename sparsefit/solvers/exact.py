@@ -3,8 +3,8 @@
 The columns of the largest |Z'Y| are in play at first. A kernel follows the path on these; the
 correlations of all columns with the residuals of several penalties, in one product, tell the first
 penalty at which a column outside objects. The path goes on from the penalty before it, with those
-columns, and no more than half as many as there are (in block descent as many, near ones too). Where the columns are few, all of them are in
-play, and Z'Z is formed once for all targets.
+columns, and no more than half as many as there are (block descent takes as many, near ones too).
+Where the columns are few, all of them are in play, and Z'Z is formed once for all targets.
 
 The square-root loss has the conditions of the squares with the penalty t = a rho/y, rho the
 residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): its path is that at other penalties.
