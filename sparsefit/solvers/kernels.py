@@ -328,7 +328,7 @@ def cluster_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch
 
 def _largest_eigenvalue(gram: Array) -> float:
     """A little more than it, by the power method."""
-    x = np.ones(len(gram))
+    x = np.cos(np.arange(len(gram)))  # not orthogonal to what columns of opposite signs share
     for _ in range(POWERS):
         x = gram @ (x / np.linalg.norm(x))
     return 1.05 * float(np.linalg.norm(x))
