@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import json
 import os
 import signal
 import sys
@@ -17,7 +18,7 @@ from sparsefit.cli import (
     verb_simulate,
     verb_study,
 )
-from sparsefit.cli.options import Option, Parser, declare, print_help, verb
+from sparsefit.cli.options import Answer, Option, Parser, declare, print_help, verb
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 from sparsefit.whole_file import REMEDIES
 
@@ -51,9 +52,8 @@ def parser() -> Parser:
         module.add(verbs)
     shells = {"choices": ("bash", "zsh", "tcsh")}
     declare(
-        verb(verbs, "completion", _completion,
-             summary="print a script that completes verbs and options in a shell",
-             example='  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'),
+        verb(verbs, "completion", completion,
+             '  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'),
         [Option("shell", "bash, zsh or tcsh", "SHELL", extra=shells)],
     )  # fmt: skip
     return top
@@ -67,7 +67,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         args, extra = parser().parse_known_args(argv)
         if extra:
             args.parser.unrecognized(extra)
-        code: int = args.run(args)
+        answer: Answer = args.run(args)
+        if getattr(args, "json", False):
+            print(json.dumps(answer.record, indent=2, allow_nan=False, ensure_ascii=False))
+        else:
+            print("\n".join(answer.lines))
         sys.stdout.flush()
     except KeyboardInterrupt:
         if argv is None:  # the process ends here: a second Ctrl-C has nothing to stop
@@ -79,17 +83,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 141
     except (Exception, MemoryError) as error:
         return _refused(error)
-    return code
+    return answer.code
 
 
-def _completion(args: argparse.Namespace) -> int:
-    """Print the script. Raises MissingExtra where shtab is not installed."""
+def completion(args: argparse.Namespace) -> Answer:
+    """Print a script that completes verbs and options in a shell."""
     try:
         import shtab
     except ImportError:
         raise MissingExtra("completion needs shtab: pip install 'sparsefit[completion]'") from None
-    print(shtab.complete(parser(), args.shell))
-    return 0
+    return Answer({}, [shtab.complete(parser(), args.shell)])
 
 
 def _refused(error: BaseException) -> int:

@@ -8,13 +8,23 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, NamedTuple, NoReturn, TypeAlias
 
 from sparsefit.errors import InputError, one_line, suggestion
 
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 Value: TypeAlias = bool | int | float | str
-Run: TypeAlias = Callable[[argparse.Namespace], int]
+
+
+class Answer(NamedTuple):
+    """The outcome of a verb: a JSON-ready record, lines that say it, and the exit code."""
+
+    record: Any
+    lines: Iterable[str] = ()
+    code: int = 0
+
+
+Run: TypeAlias = Callable[[argparse.Namespace], Answer]
 
 
 class Parser(argparse.ArgumentParser):
@@ -103,20 +113,22 @@ def declare(parser: argparse._ActionsContainer, options: Iterable[Option]) -> No
         parser.add_argument(*option.flags.split(), **settings)
 
 
-def print_help(args: argparse.Namespace) -> int:
-    """Print the help of a verb that was given without an action."""
-    args.parser.print_help()
-    return 0
-
-
-def verb(verbs: Verbs, name: str, run: Run, *, summary: str, example: str) -> Parser:
-    """The parser of a verb; the summary is its help, the example stands below its options."""
-    sentence = f"{summary[0].upper()}{summary[1:]}."
+def verb(verbs: Verbs, name: str, run: Run, example: str, summary: str = "") -> Parser:
+    """The parser of a verb; its help is the docstring of what runs it, the example stands below."""
+    sentence = summary or (run.__doc__ or "").split("\n")[0].rstrip(".")
     parser = verbs.add_parser(
-        name, help=summary, description=sentence, epilog=f"example:\n{example}"
+        name,
+        help=f"{sentence[0].lower()}{sentence[1:]}",
+        description=f"{sentence[0].upper()}{sentence[1:]}.",
+        epilog=f"example:\n{example}",
     )
     parser.set_defaults(run=run, parser=parser, stopped="stopped")
     return parser
+
+
+def print_help(args: argparse.Namespace) -> Answer:
+    """Print the help of a verb that was given without an action."""
+    return Answer({}, [args.parser.format_help().rstrip("\n")])
 
 
 def number(unit: str = "") -> Callable[[str], float]:

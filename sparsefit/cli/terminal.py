@@ -1,8 +1,7 @@
-"""Output of verbs: one record as JSON or lines, colours, durations, progress, and file checks."""
+"""Output of verbs: colours, durations, progress, and checks of files to write."""
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import sys
@@ -19,15 +18,6 @@ if TYPE_CHECKING:
 COLOURS = {"ok": "32", "inaccurate": "33", "unidentifiable": "33", "misfit": "33", "skipped": "33"}
 RED = "31"  # of every other status
 PLAIN_SECONDS = 5.0  # between two lines of progress where there is no terminal
-
-
-def emit(record: Any, lines: Iterable[str], *, as_json: bool) -> int:
-    """Print a JSON-ready record as one document where asked for, else its lines; returns 0."""
-    if as_json:
-        print(json.dumps(record, indent=2, allow_nan=False, ensure_ascii=False))
-    else:
-        print("\n".join(lines))
-    return 0
 
 
 def coloured(status: str, text: str | None = None) -> str:

@@ -5,8 +5,18 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from sparsefit.cli.options import JSON, SETTING, Option, Verbs, collected, declare, number, verb
-from sparsefit.cli.terminal import duration, emit, proof, typed
+from sparsefit.cli.options import (
+    JSON,
+    SETTING,
+    Answer,
+    Option,
+    Verbs,
+    collected,
+    declare,
+    number,
+    verb,
+)
+from sparsefit.cli.terminal import duration, proof, typed
 from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
 
 EXAMPLE = """\
@@ -25,23 +35,21 @@ TIMEOUT = Option("--timeout", f"how long a plug-in may take; default: {CHECK_SEC
 def add(verbs: Verbs) -> None:
     """Declare the verb; without an action it lists."""
     summary = "list the back-ends with their settings, or check that one works"
-    parser = verb(verbs, "backends", run_list, summary=summary, example=EXAMPLE)
+    parser = verb(verbs, "backends", run_list, EXAMPLE, summary)
     declare(parser, (JSON,))
     actions = parser.add_subparsers(metavar="ACTION", title="actions")
     # Not to undo a --json that stands before the action.
     below = Option("--json", "print JSON", read=None, extra={"default": argparse.SUPPRESS})
-    for name, run, summary, options, example in (
-        ("list", run_list, "list the back-ends, plug-ins included, with their settings and "
-         "defaults", (), "--json"),
-        ("check", run_check, "run a back-end on a small flight whose answer is known",
-         (NAME, SETTING, TIMEOUT), "lasso --setting alpha_fraction=0.05"),
-    ):  # fmt: skip
-        line = f"  sparsefit backends {name} {example}\n"
-        declare(verb(actions, name, run, summary=summary, example=line), (*options, below))
+    for name, run, options, example in (
+        ("list", run_list, (), "--json"),
+        ("check", run_check, (NAME, SETTING, TIMEOUT), "lasso --setting alpha_fraction=0.05"),
+    ):
+        action = verb(actions, name, run, f"  sparsefit backends {name} {example}\n")
+        declare(action, (*options, below))
 
 
-def run_list(args: argparse.Namespace) -> int:
-    """List every back-end, one that is broken with its error, and the solvers behind them."""
+def run_list(args: argparse.Namespace) -> Answer:
+    """List the back-ends, plug-ins included, with their settings and defaults."""
     from sparsefit import backends
     from sparsefit.solvers.conic import installed_solvers
     from sparsefit.solvers.registry import Recipe, solver_names
@@ -62,7 +70,7 @@ def run_list(args: argparse.Namespace) -> int:
     lines.append(f"other solvers: {', '.join(o.name for o in others if not o.missing)}")
     lines += [f"  missing: {other.missing}" for other in others if other.missing]
     every = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
-    return emit(every, lines, as_json=args.json)
+    return Answer(every, lines)
 
 
 def _record(name: str) -> dict[str, Any]:
@@ -94,8 +102,8 @@ def _entry(record: dict[str, Any]) -> str:
     return f"{record['name']}\n  {record['summary']}\n  {words}"
 
 
-def run_check(args: argparse.Namespace) -> int:
-    """Exit 0 only if the back-end's answer is certified, and a plug-in keeps the contract."""
+def run_check(args: argparse.Namespace) -> Answer:
+    """Run a back-end on a small flight whose answer is known; a plug-in must keep the contract."""
     from sparsefit import backends
     from sparsefit.study.worker import in_child
 
@@ -110,8 +118,7 @@ def run_check(args: argparse.Namespace) -> int:
             named = "" if args.name in str(error) else f"back-end {args.name!r} "
             raise InputError(f"{named}{error}") from None
     answer = {key: value for key, value in record.items() if key != "lines"}
-    emit(answer, record["lines"], as_json=args.json)
-    return 0 if record["status"] == "ok" and not record["faults"] else 1
+    return Answer(answer, record["lines"], int(record["status"] != "ok" or bool(record["faults"])))
 
 
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:

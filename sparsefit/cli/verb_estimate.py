@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimator_file import ALL, estimator_of
-from sparsefit.cli.options import FORCE, JSON, Option, Verbs, declare, number, verb
-from sparsefit.cli.terminal import check_output, emit
+from sparsefit.cli.options import FORCE, JSON, Answer, Option, Verbs, declare, number, verb
+from sparsefit.cli.terminal import check_output
 from sparsefit.errors import InputError, one_line, told_with
 
 if TYPE_CHECKING:
@@ -67,8 +67,7 @@ STAND_IN = 1.0  # s or 1/m; where the drag is sought, a flight needs one that no
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    summary = "estimate mean velocity, length scale and timescale from a flight, or several"
-    parser = verb(verbs, "estimate", run, summary=summary, example=EXAMPLE)
+    parser = verb(verbs, "estimate", run, EXAMPLE)
     declare(parser, (FLIGHT, JSON, PLOT, FORCE))
     declare(parser.add_argument_group("log"), LOG)
     declare(parser.add_argument_group("estimator"), ALL)
@@ -76,8 +75,8 @@ def add(verbs: Verbs) -> None:
     declare(vehicle, VEHICLE.values())
 
 
-def run(args: argparse.Namespace) -> int:
-    """Estimate, print, and return 0 where the status is ok, else 1."""
+def run(args: argparse.Namespace) -> Answer:
+    """Estimate mean velocity, length scale and timescale from a flight, or several."""
     from sparsefit.cli.printed import lines
 
     if args.plot is not None:
@@ -91,10 +90,9 @@ def run(args: argparse.Namespace) -> int:
     records = [log.record() for log in logs]
     read = {"log": records[0]} if len(logs) == 1 else {"logs": records}
     said = lines(logs, estimate, estimator.library.unknown)
-    emit(estimate.to_dict() | read, said, as_json=args.json)
     if estimate.status != "ok" and not sys.stdout.isatty():  # there it has just been read
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
-    return 0 if estimate.status == "ok" else 1
+    return Answer(estimate.to_dict() | read, said, int(estimate.status != "ok"))
 
 
 def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from sparsefit.cli.estimator_file import read_estimator
-from sparsefit.cli.options import Option, Verbs, declare, verb
+from sparsefit.cli.options import Answer, Option, Verbs, declare, verb
 from sparsefit.cli.terminal import check_folder
 from sparsefit.errors import one_line
 
@@ -27,13 +27,11 @@ OPTIONS = (
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    words = "write an estimator as C99: no heap, bounded work, with a test that replays a flight"
-    parser = verb(verbs, "export", run, summary=words, example=EXAMPLE)
-    declare(parser, OPTIONS)
+    declare(verb(verbs, "export", run, EXAMPLE), OPTIONS)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Write the C, and say what it takes."""
+def run(args: argparse.Namespace) -> Answer:
+    """Write an estimator as C99: no heap, bounded work, with a test that replays a flight."""
     from sparsefit.logs import read_flight
     from sparsefit.onboard.c_source import package
     from sparsefit.whole_file import write_whole
@@ -48,9 +46,11 @@ def run(args: argparse.Namespace) -> int:
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / path, file)
     grid = estimator.library.grid
-    print(f"{one_line(args.folder)}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/")
-    print(f"       {grid.lower:g} to {grid.upper:g} m, {real}")
-    costs = ("RAM ", "flas", "work", "    ")
+    costs = ("RAM ", "flas", "stac", "work", "    ")
     readme = content["README.md"].decode().splitlines()
-    print("\n".join(line[4:] for line in readme if line[4:8] in costs))
-    return 0
+    lines = [
+        f"{one_line(args.folder)}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/",
+        f"       {grid.lower:g} to {grid.upper:g} m, {real}",
+        *(line[4:] for line in readme if line[4:8] in costs),
+    ]
+    return Answer({}, lines)

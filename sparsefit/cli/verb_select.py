@@ -12,6 +12,7 @@ from sparsefit.cli.options import (
     FORCE,
     JSON,
     RESULTS,
+    Answer,
     Option,
     Verbs,
     declare,
@@ -20,7 +21,7 @@ from sparsefit.cli.options import (
     verb,
     whole,
 )
-from sparsefit.cli.terminal import Progress, check_output, emit
+from sparsefit.cli.terminal import Progress, check_output
 from sparsefit.cli.verb_study import STUDY, stored
 from sparsefit.study.keys import SelectionRule
 from sparsefit.study.schema import names_of, sentences
@@ -50,8 +51,7 @@ RUN = (
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    summary = "choose one estimator from a finished study, and write it and the evidence"
-    parser = verb(verbs, "select", run, summary=summary, example=EXAMPLE)
+    parser = verb(verbs, "select", run, EXAMPLE)
     declare(parser, (STUDY, RESULTS))
     rule = parser.add_argument_group("rule", "in place of what [select] of the study file says")
     words = sentences(SelectionRule)
@@ -64,8 +64,8 @@ def add(verbs: Verbs) -> None:
     declare(parser, RUN)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Choose, write, and show the evidence; 1 where no candidate keeps the constraints."""
+def run(args: argparse.Namespace) -> Answer:
+    """Choose one estimator from a finished study, and write it and the evidence."""
     check_output(args.output, force=args.force)
     from sparsefit.study import evidence
     from sparsefit.study.selection import select
@@ -106,8 +106,7 @@ def run(args: argparse.Namespace) -> int:
     lines = (f"- {line}" for line in evidence.lines(selection, checked))
     said = [evidence.headline(selection), *lines]
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
-    emit(record, [*said, closing, usage], as_json=args.json)
-    return 0 if selection.chosen is not None else 1
+    return Answer(record, [*said, closing, usage], int(selection.chosen is None))
 
 
 def _call(study: Study, candidate: str) -> str:

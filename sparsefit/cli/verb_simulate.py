@@ -10,7 +10,17 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from sparsefit.cli.options import FORCE, Option, Verbs, declare, number, option_of, verb, whole
+from sparsefit.cli.options import (
+    FORCE,
+    Answer,
+    Option,
+    Verbs,
+    declare,
+    number,
+    option_of,
+    verb,
+    whole,
+)
 from sparsefit.cli.terminal import check_output
 from sparsefit.codec import Place
 from sparsefit.errors import InputError, integer, one_line
@@ -45,8 +55,7 @@ def _group(row: Quantity) -> str:
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    summary = "simulate a flight through cells, in turbulence too, and write it to a file"
-    parser = verb(verbs, "simulate", run, summary=summary, example=EXAMPLE)
+    parser = verb(verbs, "simulate", run, EXAMPLE)
     groups = {title: parser.add_argument_group(title) for title in GROUPS}
     for name, row in QUANTITIES.items():
         if name not in OF_STUDIES:
@@ -70,8 +79,8 @@ class OptionPlace(Place):
         return InputError(f"--{self.key.replace('_', '-')} {problem}" if self.key else problem)
 
 
-def run(args: argparse.Namespace) -> int:
-    """Simulate, write, and say what was written."""
+def run(args: argparse.Namespace) -> Answer:
+    """Simulate a flight through cells, in turbulence too, and write it to a file."""
     from numpy.random import SeedSequence
 
     from sparsefit.logs import write_flight
@@ -95,8 +104,5 @@ def run(args: argparse.Namespace) -> int:
     if draw.flow is not None:
         speed, scale = values["mean_velocity"], values["length_scale"]
         through = f"a flow of {speed:g} m/s and {scale:g} m ({scale / speed:.3g} s)"
-    print(
-        f"{one_line(args.output)}: {flight.samples} samples over {flight.duration:g} s, "
-        f"{flight.extent:.3g} m across, in {through}"
-    )
-    return 0
+    words = f"{flight.samples} samples over {flight.duration:g} s, {flight.extent:.3g} m across"
+    return Answer({}, [f"{one_line(args.output)}: {words}, in {through}"])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import sys
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from sparsefit.cli.options import (
     FORCE,
     JSON,
     RESULTS,
+    Answer,
     Option,
     Verbs,
     declare,
@@ -27,7 +28,6 @@ from sparsefit.cli.terminal import (
     check_output,
     coloured,
     duration,
-    emit,
     rows_of,
     terminal_width,
 )
@@ -86,42 +86,31 @@ COMPARED = (
            "SHARE", number(), {"default": 1e-6}),
     Option("-o --output", "write tables and a picture there", "FOLDER"),
 )  # fmt: skip
-MERGED = (
-    STUDY,
-    Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"}),
-    RESULTS,
-)  # fmt: skip
+PARTS = Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"})
 SECTION = Option("section", "flights, library, run, select ...; default: all of them", "SECTION",
                  extra={"nargs": "?"})  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb and its actions."""
-    summary = "check, plan, run and read a study"
-    parser = verb(verbs, "study", print_help, summary=summary, example=EXAMPLE)
+    parser = verb(verbs, "study", print_help, EXAMPLE, "check, plan, run and read a study")
     actions = parser.add_subparsers(metavar="ACTION", title="actions", dest="action")
-    own = "  sparsefit study {} studies/NAME.toml\n"
     of_study = (STUDY, RESULTS)
-    for name, run, summary, options, example in (
-        ("check", check, "check a study file, and say on one line what it plans", of_study, own),
-        ("plan", plan, "count what a study will do and write", of_study, own),
-        ("run", run_study, "run a study, or go on with one that was stopped", (*of_study, *RUN),
-         own),
-        ("status", status, "tell how far a study is, also while it runs", of_study, own),
-        ("errors", errors, "list the cases that are not ok, grouped by reason", of_study, own),
-        ("show", show, "print the tables of a study, also unfinished; or run one case again",
-         (*of_study, *SHOW), own),
-        ("report", report, "write tables, figures and report again from the stored cases",
-         of_study, own),
-        ("compare", compare, "hold two runs of a study against each other, case by case", COMPARED,
-         COMPARE),
-        ("merge", merge, "bring parts of a study together that were run in several places",
-         MERGED, MERGE),
-        ("keys", keys, "list the keys of a study file, with their units, ranges and defaults",
-         (SECTION,), "  sparsefit study keys flights\n"),
-    ):  # fmt: skip
-        action = verb(actions, name, run, summary=summary, example=example.format(name))
-        declare(action, (*options, *([] if name == "report" else [JSON])))
+    for run, options, example in (
+        (check, of_study, ""),
+        (plan, of_study, ""),
+        (run_study, (*of_study, *RUN), ""),
+        (status, of_study, ""),
+        (errors, of_study, ""),
+        (show, (*of_study, *SHOW), ""),
+        (report, of_study, ""),
+        (compare, COMPARED, COMPARE),
+        (merge, (STUDY, PARTS, RESULTS), MERGE),
+        (keys, (SECTION,), "  sparsefit study keys flights\n"),
+    ):
+        name = run.__name__.removesuffix("_study")
+        example = example or f"  sparsefit study {name} studies/NAME.toml\n"
+        declare(verb(actions, name, run, example), (*options, JSON))
 
 
 def read_study(args: argparse.Namespace) -> Study:
@@ -129,6 +118,20 @@ def read_study(args: argparse.Namespace) -> Study:
     from sparsefit.study.study import Study
 
     return Study.from_file(args.study, results=args.results)
+
+
+def stored(args: argparse.Namespace, *, whole: bool) -> tuple[Study, RunSummary]:
+    """The study and its state; whole: all of its cases are needed, else some.
+
+    Raises:
+        InputError: with the command that runs those that are not there.
+    """
+    study = read_study(args)
+    state = study.status()  # refuses the results of another study
+    if not (state.finished if whole else state.done):
+        there = f"{state.done} of {state.planned} cases are there; run them first"
+        raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}")
+    return study, state
 
 
 def _checked(args: argparse.Namespace) -> Study:
@@ -146,22 +149,19 @@ def _checked(args: argparse.Namespace) -> Study:
     return study
 
 
-def check(args: argparse.Namespace) -> int:
-    """Exit 0 if the study file is valid; solvers that are missing here are named."""
+def check(args: argparse.Namespace) -> Answer:
+    """Check a study file, and say on one line what it plans."""
     study = _checked(args)
     cases = study.planned.size
     record = {"study": study.name, "cases": cases, "hash": study.hash, "missing": study.missing}
     kind = "" if study.kind == "flights" else f" of {study.kind}"
     heading = f"{args.study}: ok, study {study.name}{kind} plans {cases} cases"
-    missing = [  # most reasons begin with the solver's name
-        f"  missing: {reason if reason.startswith(name) else f'{name}: {reason}'}"
-        for name, reason in study.missing.items()
-    ]
-    return emit(record, [heading, *missing], as_json=args.json)
+    missing = [f"  missing: {name}: {reason}" for name, reason in study.missing.items()]
+    return Answer(record, [heading, *missing])
 
 
-def plan(args: argparse.Namespace) -> int:
-    """Count what will be computed."""
+def plan(args: argparse.Namespace) -> Answer:
+    """Count what a study will do and write."""
     study = read_study(args)
     record = {"study": study.name, "question": study.question, **study.counts()}
     rows: list[tuple[str, str]] = []
@@ -173,21 +173,21 @@ def plan(args: argparse.Namespace) -> int:
             rows.append((name, one_line(words, terminal_width())))
         else:
             rows.append((name, str(value)))
-    return emit(record, rows_of(rows), as_json=args.json)
+    return Answer(record, rows_of(rows))
 
 
-def keys(args: argparse.Namespace) -> int:
-    """List the keys of one section, or of all."""
+def keys(args: argparse.Namespace) -> Answer:
+    """List the keys of a study file, with their units, ranges and defaults."""
     from sparsefit.study.definition import keys_of
     from sparsefit.study.keys import OWN
 
     record = {name: keys_of(name) for name in ([args.section] if args.section else OWN)}
     parts = ("\n".join([f"[{name}]", *rows_of(words.items())]) for name, words in record.items())
-    return emit(record, ["\n\n".join(parts)], as_json=args.json)
+    return Answer(record, ["\n\n".join(parts)])
 
 
-def run_study(args: argparse.Namespace) -> int:
-    """Run to the end; write and print what came out."""
+def run_study(args: argparse.Namespace) -> Answer:
+    """Run a study, or go on with one that was stopped."""
     from sparsefit.study import page
 
     again = "without --fresh to continue" if args.fresh else "again to continue"
@@ -196,23 +196,27 @@ def run_study(args: argparse.Namespace) -> int:
     names = ("processes", "fresh", "retry_failed", "stale", "only", "executor", "scheduler")
     with Progress() as progress:
         summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
-    rows = {
-        f"{summary.dropped} cases that the study no longer plans are left out": summary.dropped,
-        f"{summary.damaged} rows were damaged, and their cases computed again": summary.damaged,
-        _stale(summary.stale): summary.stale,
-    }
-    for note in (note for note, count in rows.items() if count):
-        print(note, file=sys.stderr)
+    if summary.dropped:
+        print(f"{summary.dropped} cases that the study no longer plans are left out",
+              file=sys.stderr)  # fmt: skip
+    if summary.damaged:
+        print(f"{summary.damaged} rows were damaged, and their cases computed again",
+              file=sys.stderr)  # fmt: skip
+    _tell_stale(summary)
     args.stopped = "stopped while writing the report; run the same command again to continue"
-    record = {
-        "study": study.name,
-        "folder": str(summary.folder),
-        "cases": summary.planned,
-        "statuses": dict(summary.statuses),
-        **{name: getattr(summary, name) for name in
-           ("done", "resumed", "computed", "stale", "dropped", "seconds")},
-    }  # fmt: skip
-    lines = [_done(summary)]
+    counts = ("done", "resumed", "computed", "stale", "dropped", "seconds")
+    record = {"study": study.name, "folder": str(summary.folder), "cases": summary.planned,
+              "statuses": dict(summary.statuses),
+              **{name: getattr(summary, name) for name in counts}}  # fmt: skip
+    counted, lines = _by_status(summary.statuses), list[str]()
+    if summary.computed:
+        before = f", {summary.resumed} of them from before" if summary.resumed else ""
+        together = f" on {summary.processes} processes" if summary.processes > 1 else ""
+        took = f"{duration(summary.seconds)}{together}"
+        lines.append(f"{summary.done} cases{before} ({counted}) in {took}")
+    else:
+        there = "all" if summary.finished else f"{summary.done} of"
+        lines.append(f"nothing to run: {there} {summary.planned} cases were there ({counted})")
     if summary.finished:
         written, cases = page.write(study), study.cases
         record |= {"headline": page.headline(study, cases), "written": list(map(str, written))}
@@ -222,23 +226,15 @@ def run_study(args: argparse.Namespace) -> int:
     else:
         rest = "run without --only for the rest, and the report"
         lines.append(f"{summary.done} of {summary.planned} cases are there: {rest}")
-    return emit(record, lines, as_json=args.json)
+    return Answer(record, lines)
 
 
-def _stale(stale: int) -> str:
-    rows = "1 case was" if stale == 1 else f"{stale} cases were"
-    return f"{rows} computed by other code than this; study run --stale renews"
-
-
-def _done(summary: RunSummary) -> str:
-    """The outcome of a run in a line: cases by status, and the time."""
-    counted = _by_status(summary.statuses)
-    if not summary.computed:
-        there = "all" if summary.finished else f"{summary.done} of"
-        return f"nothing to run: {there} {summary.planned} cases were there ({counted})"
-    before = f", {summary.resumed} of them from before" if summary.resumed else ""
-    together = f" on {summary.processes} processes" if summary.processes > 1 else ""
-    return f"{summary.done} cases{before} ({counted}) in {duration(summary.seconds)}{together}"
+def _tell_stale(state: RunSummary) -> None:
+    """Tell on stderr how many rows other code has made."""
+    if state.stale:
+        rows = "1 case was" if state.stale == 1 else f"{state.stale} cases were"
+        words = "computed by other code than this; study run --stale renews"
+        print(f"{rows} {words}", file=sys.stderr)
 
 
 def _by_status(statuses: Mapping[str, int]) -> str:
@@ -249,8 +245,8 @@ def _by_status(statuses: Mapping[str, int]) -> str:
     return ", ".join(f"{statuses[name]} {coloured(name)}" for name in order) or "none"
 
 
-def status(args: argparse.Namespace) -> int:
-    """Count planned and finished cases, by status."""
+def status(args: argparse.Namespace) -> Answer:
+    """Tell how far a study is, also while it runs."""
     study = read_study(args)
     state = study.status()
     record = {"study": study.name, "folder": str(state.folder), "planned": state.planned}
@@ -258,15 +254,16 @@ def status(args: argparse.Namespace) -> int:
     record |= {"statuses": dict(state.statuses), "versions": dict(state.versions)}
     words = "finished" if state.finished else "not finished" if state.done else "not begun"
     counted = f"{state.done} of {state.planned} cases ({_by_status(state.statuses)})"
-    lines = [f"{study.name}: {words}, {counted} in {state.folder}"]
-    return emit(record, lines + [_stale(state.stale)] * bool(state.stale), as_json=args.json)
+    _tell_stale(state)
+    return Answer(record, [f"{study.name}: {words}, {counted} in {state.folder}"])
 
 
-def errors(args: argparse.Namespace) -> int:
-    """List cases that are not ok, by candidate, status and reason; numbers in a reason may vary."""
+def errors(args: argparse.Namespace) -> Answer:
+    """List the cases that are not ok, grouped by candidate, status and reason."""
     study, state = stored(args, whole=False)
     cases = study.cases
     cases = cases[cases["status"] != "ok"]
+    # Numbers in a reason may vary.
     pattern = cases["reason"].str.replace(r"[-+]?\d[\d.,e+-]*", "#", regex=True)
     names = {"status": "status", "label": "title", "reason": "reason", "first_case": "case_id"}
     groups: list[dict[str, Any]] = [
@@ -281,12 +278,11 @@ def errors(args: argparse.Namespace) -> int:
         status, label, reason, case = (one_line(str(group[name])) for name in names)
         lines += [f"\n{group['cases']} x {coloured(status)}, {label}"]
         lines += [f"  {reason or 'no reason given'}", f"  first case: {case}"]
-    record = {"study": study.name, "done": state.done, "groups": groups}
-    return emit(record, lines, as_json=args.json)
+    return Answer({"study": study.name, "done": state.done, "groups": groups}, lines)
 
 
-def show(args: argparse.Namespace) -> int:
-    """Print the tables of the study, or those asked for; or run one case again and draw it."""
+def show(args: argparse.Namespace) -> Answer:
+    """Print the tables of a study, also unfinished; or run one case again."""
     if args.case is not None:
         return _show_case(args)
     from sparsefit.study import page, tables
@@ -294,14 +290,13 @@ def show(args: argparse.Namespace) -> int:
     study, _ = stored(args, whole=False)
     cases, width = study.cases, terminal_width()
     if not args.table and not args.json:
-        print(page.show(study, cases, width=width), end="")
-        return 0
+        return Answer({}, [page.show(study, cases, width=width).rstrip("\n")])
     made = tables.tables(study, cases, tuple(args.table))
     texts = (table.to_text(width) for table in made.values())
-    return emit({name: table.record() for name, table in made.items()}, texts, as_json=args.json)
+    return Answer({name: table.record() for name, table in made.items()}, texts)
 
 
-def _show_case(args: argparse.Namespace) -> int:
+def _show_case(args: argparse.Namespace) -> Answer:
     """Run one case again, write its picture, and print its numbers beside the stored ones."""
     from sparsefit.study import case_page
 
@@ -315,23 +310,21 @@ def _show_case(args: argparse.Namespace) -> int:
     table = case_page.write_case(study, args.case, flown)
     record = {"case": args.case, "picture": flown and str(flown), **table.record()}
     written = [f"written to {flown}"] if flown else []
-    return emit(record, [table.to_text(terminal_width()), *written], as_json=args.json)
+    return Answer(record, [table.to_text(terminal_width()), *written])
 
 
-def report(args: argparse.Namespace) -> int:
-    """Write tables, figures and report anew; the cases stay as they are."""
+def report(args: argparse.Namespace) -> Answer:
+    """Write tables, figures and report again from the stored cases."""
     from sparsefit.study import page
 
     study, state = stored(args, whole=True)
-    if state.stale:
-        print(_stale(state.stale), file=sys.stderr)
-    written = page.write(study)
-    print("\n".join([page.headline(study, study.cases), *map(str, written)]).lstrip("\n"))
-    return 0
+    _tell_stale(state)
+    written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
+    return Answer({"headline": headline, "written": written}, filter(None, [headline, *written]))
 
 
-def compare(args: argparse.Namespace) -> int:
-    """Show what changed; exit 1 where anything did."""
+def compare(args: argparse.Namespace) -> Answer:
+    """Hold two runs of a study against each other, case by case; exit 1 where any differs."""
     from sparsefit.study import compare as comparing
     from sparsefit.study.export import read_cases
     from sparsefit.study.study import Study
@@ -350,12 +343,11 @@ def compare(args: argparse.Namespace) -> int:
     tables = (table for table in both.tables.values() if len(table.frame))
     lines = [*(table.to_text(terminal_width()) for table in tables), both.sentence]
     lines += [f"written: {path}" for path in written[-1:]]
-    emit(both.record() | {"written": written}, lines, as_json=args.json)
-    return int(both.differs)
+    return Answer(both.record() | {"written": written}, lines, int(both.differs))
 
 
-def merge(args: argparse.Namespace) -> int:
-    """Take what the parts hold; exit 0 also where cases are still missing, which is said."""
+def merge(args: argparse.Namespace) -> Answer:
+    """Bring parts of a study together that were run in several places."""
     from sparsefit.study import page
 
     study = _checked(args)
@@ -367,21 +359,6 @@ def merge(args: argparse.Namespace) -> int:
     rest = f"{now.planned - now.done} left to run: sparsefit study run {args.study}"
     state = "finished" if now.finished else rest
     lines.append(f"{now.folder}: {now.done} of {now.planned} cases, {state}")
-    parts = [{**dataclasses.asdict(part), "folder": str(part.folder)} for part in merged]
-    counted = {"planned": now.planned, "done": now.done, "parts": parts}
-    record = {"study": study.name, "folder": str(now.folder), **counted}
-    return emit(record, lines, as_json=args.json)
-
-
-def stored(args: argparse.Namespace, *, whole: bool) -> tuple[Study, RunSummary]:
-    """The study and its state; whole: all of its cases are needed, else some.
-
-    Raises:
-        InputError: with the command that runs those that are not there.
-    """
-    study = read_study(args)
-    state = study.status()  # refuses the results of another study
-    if not (state.finished if whole else state.done):
-        there = f"{state.done} of {state.planned} cases are there; run them first"
-        raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}")
-    return study, state
+    parts = [{**asdict(part), "folder": str(part.folder)} for part in merged]
+    record = {"study": study.name, "folder": str(now.folder), "planned": now.planned}
+    return Answer(record | {"done": now.done, "parts": parts}, lines)
