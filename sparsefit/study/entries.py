@@ -33,8 +33,8 @@ class Entry:
     behind a summary; compare: its layout; rows: the columns of the frame that tell rows, or panels,
     apart; along: a swept factor, the columns of a table or the axis of a picture.
     columns, lines: what tells the columns of panels and the lines of a picture apart.
-    limits: values that a measure is held against; contrasts: pairs of protocols, titles,
-    back-ends or levels; interval: whether summaries have a 95 % interval over flights beside them.
+    limits: values that a measure is held against; interval: whether summaries have a 95 % interval
+    over flights beside them.
     """
 
     name: str = ""
@@ -47,7 +47,6 @@ class Entry:
     columns: str = ""
     lines: str = "title"
     limits: tuple[float, ...] = ()
-    contrasts: tuple[tuple[str, str], ...] = ()
     interval: bool = False
 
     @property

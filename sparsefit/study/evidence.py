@@ -81,10 +81,7 @@ def lines(selection: Selection, check: Check | None = None) -> list[str]:
     score = f"{scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}"
     said = {"Score": score, **said}
     if selection.tied:
-        needed = [each.apart.more_units for each in selection.tied if each.apart is not None]
-        least = min(needed)
-        more = f"; {least:.0f} more {kind} would end the easiest" if math.isfinite(least) else ""
-        said["Tied"] = f"{listed([each.title for each in selection.tied], 'and')}{more}"
+        said["Tied"] = listed([each.title for each in selection.tied], "and")
     regret, best = selection.regret, selection.hindsight
     if regret is not None and best is not None:
         value = scored(regret.effect, (regret.low, regret.high))
@@ -148,13 +145,12 @@ def tables(selection: Selection) -> dict[str, Table]:
             str(len(candidates) + 1), each.title, said, each.evaluate, *each.between, each.validate,
             *((None,) * 3 if apart is None else (apart.effect, apart.low, apart.high)),
             None if each.breaches else 100.0 * each.best,
-            apart.more_units if apart is not None and apart.tie else None,
         ))  # fmt: skip
         regimes.append((each.title, said, *each.by_regime.tolist(), each.evaluate))
         if seen := selection.latencies.get(each.candidate):
             times.append((each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"],
                           100.0 * seen["busy"]))  # fmt: skip
-    candidates += [("–", title, f"not on board: {why}", *(None,) * 9)
+    candidates += [("–", title, f"not on board: {why}", *(None,) * 8)
                    for title, why in selection.refused.items()]  # fmt: skip
     score = [Column(name, unit, group="evaluate", least=least)
              for name in ("criterion", "from", "to")]  # fmt: skip
@@ -164,7 +160,7 @@ def tables(selection: Selection) -> dict[str, Table]:
     notes = (
         f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the chosen. "
         "Intervals (95 %) and the probability to be the best are by bootstrap over the same "
-        "flights for all; more flights: how many would end a tie.",
+        "flights for all.",
         "One flight at a time in a process of its own with BLAS on one thread, after a warm-up. "
         "Disturbed: flights during which other programs had the core.",
     )
@@ -173,8 +169,7 @@ def tables(selection: Selection) -> dict[str, Table]:
             f"Candidates of the selection ({study})",
             (*map(Column, ("rank", "candidate", "verdict")), *score,
              Column("criterion", unit, group="validate", least=least), *against,
-             *(Column(name, some, ".0f", "validate")
-               for name, some in (("best", "%"), ("more flights", "")))),
+             Column("best", "%", ".0f", "validate")),
             candidates, notes[:1],
         ),
         "regimes": Table(

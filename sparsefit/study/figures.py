@@ -1,7 +1,7 @@
-"""The figures of a study: four kinds of picture over one frame of cases, in panels by its columns.
+"""The figures of a study: three kinds of picture over one frame of cases, in panels by its columns.
 
 `lines`: measures along a factor; `ecdf`: the share of cases with at most so much; `scatter`:
-estimated against true; `accuracy`: time against certified excess. A legend names what is drawn:
+estimated against true. A legend names what is drawn:
 curves that coincide are one, and where there are more than a legend takes, the rest are grey. A
 picture without a mark is a sentence.
 """
@@ -240,27 +240,6 @@ def _points(cases: pd.DataFrame, name: str, beside: str) -> Panel:
                  "xy" if is_log else "")  # fmt: skip
 
 
-def accuracy(entry: Entry, cases: pd.DataFrame) -> Figure | None:
-    """Draw the time of every case against the certified excess of its worst point."""
-    shown = cases[cases["excess"].notna()]
-    ends = float(shown["wall"].min()) / 1.5, 1.5 * float(shown["wall"].max())
-    levels = [("y", level) for level in solver_times.accuracies(cases)]
-    flat = [
-        Panel(
-            [Curve(str(name), numbers(here, "wall")[at],
-                   np.clip(numbers(here, "excess")[at], 1e-16, 1.0))
-             for (name,), at in grouped(here, ["solver"])],
-            "time on the wall [s]", "certified excess", str(objective), {"ls": "", "ms": 3.0},
-            ends, (3e-17, 3.0), "xy", marks=levels,
-        )
-        for objective, here in shown.groupby("objective", sort=False)
-    ][: 2 * PANELS]  # fmt: skip
-    if len(flat) > 2 and len(flat) % 2:
-        flat.append(replace(flat[-1], curves=[], title=" "))
-    grid = [flat[at : at + 2] for at in range(0, len(flat), 2)]
-    return drawn(grid, 0.8 + 2.5 * len(grid), solver_times.places(cases))
-
-
 def _profiles(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     """Draw the performance profiles of solvers (Dolan and More, 2002)."""
     return ecdf(entry, solver_times.race(cases), solver_times.places(cases))
@@ -274,7 +253,7 @@ def _shapes(entry: Entry, cases: pd.DataFrame) -> Figure | None:
 
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Figure | None]] = {
     **dict.fromkeys(("settings", "lines", "protocols"), lines),
-    **{"ecdf": ecdf, "scatter": scatter, "accuracy": accuracy},
+    **{"ecdf": ecdf, "scatter": scatter},
     **{"profiles": _profiles, "shapes": _shapes},
 }
 MEASURED = {name: made in (lines, ecdf) for name, made in LAYOUTS.items()}
@@ -293,8 +272,6 @@ NAMED: Mapping[str, Options] = {
     "profiles": {"compare": "profiles", "measure": ("ratio",), "rows": ("objective",),
                  "columns": "accuracy", "lines": "solver", "title": "Share of problems solved in "
                  "at most so many times the time of the fastest solver of each"},
-    "accuracy": {"compare": "accuracy", "title": "Time against the certified excess of the worst "
-                 "point of each case; dashed: the accuracies at which success is counted"},
     "shapes": {"compare": "shapes", "measure": ("seconds",), "rows": ("objective",),
                "along": "problem", "lines": "solver", "title": "Time to the strictest accuracy; "
                "no point: not solved"},
@@ -346,7 +323,7 @@ def _caption(entry: Entry) -> str:
 def fitting(cases: pd.DataFrame) -> list[str]:
     """Return the names of the figures that have something to show of these cases."""
     if "objective" in cases:
-        return ["profiles", "shapes", "accuracy"]
+        return ["profiles", "shapes"]
     several = cases["flight"].nunique() > 1 and bool(measures.in_flow(cases).any())
     says = {
         "sweep": several and bool(numeric_factors(cases)),

@@ -23,7 +23,7 @@ import numpy as np
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
-from sparsefit.study.entries import Entry, asked, grouped, script_of
+from sparsefit.study.entries import asked, grouped, script_of
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import measure, numbers
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
@@ -108,9 +108,7 @@ def check_outputs(study: Any) -> None:
         InputError: with the nearest name that is.
     """
     for kind, room in (("table", tables), ("figure", figures)):
-        for _, entry in asked(study, kind, room.NAMED, room.MEASURED):
-            for pair in entry.contrasts if isinstance(entry, Entry) else ():
-                tables.sides_of(study.plan(), *pair)
+        list(asked(study, kind, room.NAMED, room.MEASURED))
     if study.definition.outputs.headline:
         measure(study.definition.outputs.headline)
 

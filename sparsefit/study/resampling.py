@@ -2,15 +2,13 @@
 
 Numbers stand as a grid (..., units, cases of each), NaN where a case has none. Candidates are
 tried on the same units, so the same units are drawn for all of them (paired). Intervals are
-percentiles of a bootstrap over units (Efron, 1979), shares have Wilson's interval (Wilson, 1927),
-tests exchange two candidates within units, and the p-values of one table are adjusted by Holm's
-rule (Holm, 1979).
+percentiles of a bootstrap over units (Efron, 1979), shares have Wilson's interval (Wilson, 1927).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -22,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Statistic: TypeAlias = Callable[[Array], Array]  # of (..., units, cases), (...,)
-RESAMPLES, EXCHANGES = 2000, 4999
+RESAMPLES = 2000
 CHUNK = 4_000_000  # numbers drawn at once, by the memory that they take
 ROUNDING = 1e-9  # of the larger of two numbers: no difference
 TINY = 1e-6  # percent: a smaller error is quadrature and rounding
@@ -139,13 +137,12 @@ def wilson(part: float, whole: int) -> tuple[float, float]:
 class Difference:
     """A difference with its 95 % interval.
 
-    units: from which it was read; identical: whether the two agree to rounding in every case.
+    identical: whether the two agree to rounding in every case.
     """
 
     effect: float
     low: float
     high: float
-    units: int
     identical: bool = False
 
     @property
@@ -153,63 +150,20 @@ class Difference:
         """Whether the interval holds 0."""
         return not (self.low > 0.0 or self.high < 0.0)
 
-    @property
-    def more_units(self) -> float:
-        """The number of further units that would end a tie, if the effect is what it seems.
-
-        The interval narrows with the root of the number; infinite where there is no effect.
-        """
-        if not self.tie:
-            return 0.0
-        if self.identical or not self.effect:
-            return math.inf
-        half = (self.high - self.low) / 2.0
-        return max(1.0, math.ceil(self.units * ((half / self.effect) ** 2 - 1.0)))
-
-
-def _of_one_width(*grids: Array) -> list[Array]:
-    """Return grids (units, n) of the width of the widest, NaN where a unit has no case."""
-    width = max(grid.shape[-1] for grid in grids)
-    pads = [((0, 0), (0, width - grid.shape[-1])) for grid in grids]
-    return [np.pad(*pair, constant_values=np.nan) for pair in zip(grids, pads, strict=True)]
-
 
 def difference(statistic: Statistic, first: Array, second: Array) -> Difference:
     """Return statistic(first) - statistic(second) of two grids (units, n) of one order of units."""
-    first, second = _of_one_width(first, second)
+    width = max(first.shape[-1], second.shape[-1])
+    first, second = (
+        np.pad(grid, ((0, 0), (0, width - grid.shape[-1])), constant_values=np.nan)
+        for grid in (first, second)
+    )
     effect = float(statistic(first) - statistic(second))
     identical = bool(np.allclose(first, second, rtol=ROUNDING, atol=0.0, equal_nan=True))
     if len(first) < 2:
-        return Difference(effect, math.nan, math.nan, len(first), identical)
-    drawn = resampled(
-        lambda at: statistic(first[at]) - statistic(second[at]), len(first), first[0].size
-    )
-    return Difference(effect, *ends(drawn), len(first), identical)
-
-
-def exchange_p(statistic: Statistic, first: Array, second: Array) -> float:
-    """Return the p-value of |difference| under exchanges of two grids (units, n) within units."""
-    first, second = _of_one_width(first, second)
-    seen = abs(float(statistic(first) - statistic(second))) if first.size else math.nan
-    if math.isnan(seen):
-        return math.nan
-    rng, reached = np.random.default_rng(0), 0
-    each = max(1, CHUNK // first.size)
-    for start in range(0, EXCHANGES, each):
-        swap = rng.random((min(each, EXCHANGES - start), len(first), 1)) < 0.5
-        apart = statistic(np.where(swap, second, first)) - statistic(np.where(swap, first, second))
-        reached += int((np.abs(apart) >= seen * (1.0 - ROUNDING)).sum())
-    return (reached + 1) / (EXCHANGES + 1)
-
-
-def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values adjusted for as many tests by Holm's step-down rule; NaN is no test."""
-    tested = sorted((p, place) for place, p in enumerate(p_values) if not math.isnan(p))
-    adjusted, worst = [math.nan] * len(p_values), 0.0
-    for rank, (p, place) in enumerate(tested):
-        worst = max(worst, min(1.0, (len(tested) - rank) * p))
-        adjusted[place] = worst
-    return adjusted
+        return Difference(effect, math.nan, math.nan, identical)
+    drawn = resampled(lambda at: statistic(first[at]) - statistic(second[at]), len(first), width)
+    return Difference(effect, *ends(drawn), identical)
 
 
 def best_probabilities(losses: Array) -> Array:

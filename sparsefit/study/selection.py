@@ -2,8 +2,8 @@
 
 Numbers stand as arrays (candidates, units, regimes, cases). A candidate is chosen on the units of
 split `validate` and scored once on those of split `evaluate`: of all that keep every constraint in
-every regime, the simplest within the margin of the best. What the units do not tell from it is a
-tie.
+every regime, the first listed within the margin of the best. What the units do not tell from it is
+a tie. A regime is a condition of the study.
 """
 
 from __future__ import annotations
@@ -50,9 +50,8 @@ class Criterion:
     def words(self) -> str:
         """`mean |error| of τ_w, averaged over the regimes`."""
         where = {AVERAGE: "averaged over the regimes", WORST: "in the worst regime"}
-        if len(self.regimes) == 1:
-            return self.measure.phrase
-        return f"{self.measure.phrase}, {where.get(self.over, f'in {self.over}')}"
+        over = f", {where.get(self.over, f'in {self.over}')}"
+        return self.measure.phrase + over * (len(self.regimes) > 1)
 
     @property
     def sign(self) -> float:
@@ -63,15 +62,14 @@ class Criterion:
         """Return the summary (..., regimes) of a grid (..., units, regimes, cases)."""
         return self.measure.reduce(pooled_regimes(grid))
 
-    def score(self, grid: Array) -> Array:
-        """Return the one number (...,) of a grid (..., units, regimes, cases)."""
-        by_regime = self.by_regime(grid)
+    def loss(self, grid: Array) -> Array:
+        """Return the one number (...,) of a grid (..., units, regimes, cases), less is better."""
+        losses = self.sign * self.by_regime(grid)
         if self.over == AVERAGE:
-            return mean(by_regime)
+            return mean(losses)
         if self.over == WORST:
-            worst = np.fmin if self.measure.more else np.fmax  # which pass over NaN
-            return np.asarray(worst.reduce(by_regime, axis=-1))
-        return np.asarray(by_regime[..., self.regimes.index(self.over)])
+            return np.asarray(np.fmax.reduce(losses, axis=-1))  # passes over NaN
+        return np.asarray(losses[..., self.regimes.index(self.over)])
 
     def say(self, value: float) -> str:
         """Return a value of the criterion with its unit."""
@@ -112,7 +110,8 @@ def limit_text(constraint: str, value: float) -> str:
 class Trials:
     """The cases of a split as a grid (candidates, units, regimes, cases), and what it tells.
 
-    loss: (candidates,) of the criterion; drawn: (candidates, resamples) of it over drawn units.
+    loss: (candidates,) of the criterion; drawn: (candidates, resamples) of it over units, of which
+    one seed draws the same for all candidates.
     """
 
     def __init__(self, cases: pd.DataFrame, candidates: Sequence[str], criterion: Criterion,
@@ -127,31 +126,29 @@ class Trials:
         self.cases, self.candidates, self.criterion = cases, candidates, criterion
         candidate = pd.Index(candidates).get_indexer(pd.Index(cases["candidate"]))
         unit, units = pd.factorize(cases["flight"])
-        regime = pd.Index(criterion.regimes).get_indexer(pd.Index(cases["regime"]))
+        regime = pd.Index(criterion.regimes).get_indexer(pd.Index(regimes_of(cases)))
         keys = pd.DataFrame({"c": candidate, "u": unit, "r": regime})
         within = keys.groupby(["c", "u", "r"]).cumcount().to_numpy()
         self.at = (candidate, unit, regime, within)
-        self.shape = (len(self.candidates), len(units), len(criterion.regimes),
+        self.shape = (len(candidates), len(units), len(criterion.regimes),
                       int(within.max(initial=-1)) + 1)  # fmt: skip
-        count = np.zeros(self.shape[:3], dtype=np.intp)
-        np.add.at(count, self.at[:3], 1)
-        unequal = np.flatnonzero((count != count[:1]).any(axis=(1, 2)))
-        if unequal.size:
-            title = cases.loc[candidate == unequal[0], "title"].iloc[:1]
+        self.values = self.grid(criterion.measure.values(cases))
+        count = self.grid(np.ones(len(cases)))
+        unequal = (np.isnan(count) != np.isnan(count[:1])).any(axis=(1, 2, 3))
+        if unequal.any():
+            title = cases.loc[candidate == unequal.argmax(), "title"].iloc[:1]
             raise InputError(
-                f"{', '.join(title) or candidates[unequal[0]]} was not tried on the same flights "
-                "as the others: finish the study first (sparsefit study run)"
+                f"{', '.join(title) or candidates[int(unequal.argmax())]} was not tried on the "
+                "same flights as the others: finish the study first (sparsefit study run)"
             )
-        self.values, sign = self.grid(criterion.measure.values(cases)), criterion.sign
-        self.loss = np.array([sign * float(criterion.score(each)) for each in self.values])
-        self.drawn = np.array([self._drawn(each, seed) for each in self.values])
+        self.loss = criterion.loss(self.values)
 
-    def _drawn(self, grid: Array, seed: int) -> Array:
-        """Return the loss (resamples,) of a candidate; one seed draws the same units for all."""
-        criterion = self.criterion
-        return resampling.resampled(
-            lambda at: criterion.sign * criterion.score(grid[at]), len(grid), grid[0].size, seed
-        )
+        def resampled(own: Array) -> Array:
+            return resampling.resampled(
+                lambda at: criterion.loss(own[at]), len(own), own[0].size, seed
+            )
+
+        self.drawn = np.array([resampled(own) for own in self.values])
 
     def grid(self, values: Array) -> Array:
         """Return values (rows,) as a grid, NaN where a regime has fewer cases."""
@@ -161,8 +158,9 @@ class Trials:
 
     def score(self, at: int) -> tuple[float, tuple[float, float]]:
         """Return the criterion of a candidate and its 95 % interval."""
-        low, high = sorted(self.criterion.sign * end for end in ends(self.drawn[at]))
-        return self.criterion.sign * float(self.loss[at]), (low, high)
+        sign = self.criterion.sign
+        low, high = sorted(sign * end for end in ends(self.drawn[at]))
+        return sign * float(self.loss[at]), (low, high)
 
     def against(self, at: int, other: int) -> Difference:
         """Return the loss of a candidate less that of another, paired by unit."""
@@ -170,37 +168,47 @@ class Trials:
         alike = np.allclose(*pair, rtol=ROUNDING, atol=least, equal_nan=True)
         with np.errstate(invalid="ignore"):  # two that fail wholly
             effect, drawn = self.loss[at] - self.loss[other], self.drawn[at] - self.drawn[other]
-        return Difference(float(effect), *ends(drawn), len(self.values[at]), bool(alike))
+        return Difference(float(effect), *ends(drawn), bool(alike))
 
     def breaches(
         self, rule: Any, timed: Mapping[str, Mapping[str, float]]
     ) -> list[tuple[Breach, ...]]:
-        """Return the constraints that each candidate breaks, each in its worst regime."""
-        cases, flown, nothing = self.cases, measures.in_flow(self.cases), np.zeros(len(self.cases))
-        failed, silent, error = measures.only(flown, ~measures.answered(cases)), nothing, nothing
+        """Return the constraints that each candidate breaks, each in its worst regime.
+
+        What breaks a constraint of the cases need not be timed.
+        """
+        cases, flown = self.cases, measures.in_flow(self.cases)
+
+        def by_regime(values: Array) -> Array:
+            return pooled_regimes(self.grid(values))
+
+        failed = measures.only(flown, ~measures.answered(cases))
+        silent = error = np.zeros(len(cases))
         if "est_mean_velocity" in cases:
             missed = np.where(flown, measures.off(cases), measures.in_still_air(cases))
             silent = (missed & measures.ended(cases, "ok")).astype(float)
             error = measures.MEASURES["largest-error"].read(cases)
-        largest = resampling.quantile(pooled_regimes(self.grid(error)), 0.95)
-        there = resampling.SUMMARIES["largest"](pooled_regimes(self.grid(flown.astype(float)))) > 0
+        largest, is_flown = (
+            resampling.quantile(by_regime(error), 0.95),
+            by_regime(flown.astype(float)) > 0,
+        )
         values = {
-            "max_failure": mean(pooled_regimes(self.grid(failed))).tolist(),
-            "max_silent_misses": mean(pooled_regimes(self.grid(silent))).tolist(),
-            "max_error": np.where(np.isnan(largest) & there, np.inf, largest).tolist(),
+            "max_failure": mean(by_regime(failed)),
+            "max_silent_misses": mean(by_regime(silent)),
+            "max_error": np.where(np.isnan(largest) & is_flown.any(axis=-1), np.inf, largest),
         }
         for name, column in TIMED.items():
-            values[name] = [[timed.get(each, {}).get(column, math.inf)] for each in self.candidates]
+            times = [timed.get(each, {}).get(column, math.inf) for each in self.candidates]
+            values[name] = np.array(times)[:, None]
         every: list[list[Breach]] = [[] for _ in self.candidates]
         for name, levels in values.items():
             limit = getattr(rule, name)
             for broken, own in zip(every, levels, strict=True):
-                worst = max(own, key=lambda value: (not math.isnan(value), value))
-                others = {breach.constraint for breach in broken} - {*TIMED}
-                if name in TIMED and math.isinf(worst) and others:
-                    continue  # what breaks a constraint of the cases need not be timed
-                if limit is not None and worst > limit:
-                    where = self.criterion.regimes[own.index(worst)] if len(own) > 1 else ""
+                place = int(np.where(np.isnan(own), -np.inf, own).argmax())
+                worst, unknown = float(own[place]), name in TIMED and np.isinf(own[place])
+                is_broken = any(breach.constraint not in TIMED for breach in broken)
+                if limit is not None and worst > limit and not (unknown and is_broken):
+                    where = self.criterion.regimes[place] if len(own) > 1 else ""
                     broken.append(Breach(name, where, worst, limit))
         return [tuple(broken) for broken in every]
 
@@ -212,7 +220,7 @@ class Scored:
     validate, evaluate: the criterion on either split, `between` its 95 % interval on evaluate,
     by_regime (regimes,) there; breaches: what it does not keep on validate, broken: on evaluate.
     best: the probability over drawn units of validate that it is the best of those that keep
-    everything; apart: its loss less that of the chosen on validate.
+    everything; apart: its loss less that of the chosen on validate; within: the margin.
     """
 
     candidate: str
@@ -262,8 +270,7 @@ class Selection:
     @property
     def contenders(self) -> list[str]:
         """The chosen candidate and what is not ruled out: tied, or within the margin."""
-        return [each.candidate for each in self.passing
-                if each is self.chosen or each.within or each in self.tied]  # fmt: skip
+        return [each.candidate for each in self.passing if each.within or each in self.tied]
 
     @property
     def kind(self) -> str:
@@ -322,7 +329,8 @@ def select(
     """
     rule = rule or study.definition.selection
     rule = rule.changed(**options) if options else rule
-    cases, refused = _comparable(study, study.cases), dict(refusals or {})
+    cases, refused = study.cases, dict(refusals or {})
+    _check_split(study, cases)
     cases = cases[~cases["title"].isin(refused)]
     criterion = _criterion(rule, cases)
     if not np.isfinite(criterion.measure.read(cases)).any():
@@ -333,68 +341,77 @@ def select(
     latencies = study.latencies if latencies is None else latencies
     timed = {name: asdict(seen) for name, seen in latencies.items()}
     splits = [name for name in SPLITS if (cases["split"] == name).any()] or ["all"]
-    candidates = [str(name) for name in dict.fromkeys(cases["candidate"])]
+    candidates = list(map(str, cases["candidate"].unique()))
     every = [Trials(cases[cases["split"] == name], candidates, criterion, place)
              for place, name in enumerate(splits)]  # fmt: skip
     first, last = every[0], every[-1]
     breaches, broken = (each.breaches(rule, timed) for each in (first, last))
-    order = sorted(range(len(candidates)), key=lambda at: (float(first.loss[at]), at))
+    order = np.argsort(first.loss, kind="stable").tolist()
     passing = [at for at in order if not breaches[at] and not math.isnan(first.loss[at])]
     best = float(first.loss[passing[0]]) if passing else math.nan
     limit = best + (rule.margin + ROUNDING) * abs(best) + criterion.measure.least
     within = [at for at in passing if first.loss[at] <= limit]
-    chosen = min(within, default=None)
-    probabilities = resampling.best_probabilities(first.drawn[passing]).tolist() if passing else []
-    shares = dict(zip(passing, probabilities, strict=True))
+    chosen = min(within, default=None)  # the first listed is the simplest
+    shares = np.zeros(len(order))
+    if passing:
+        shares[passing] = resampling.best_probabilities(first.drawn[passing])
     titles = dict(zip(cases["candidate"], cases["title"], strict=True))
-    scored = {
-        at: Scored(
+    scored = [
+        Scored(
             name, str(titles[name]), first.score(at)[0], *last.score(at),
-            criterion.by_regime(last.values[at]), breaches[at], broken[at], shares.get(at, 0.0),
+            criterion.by_regime(last.values[at]), breaches[at], broken[at], float(shares[at]),
             None if chosen is None or chosen == at else first.against(at, chosen), at in within,
         )
         for at, name in enumerate(candidates)
-    }  # fmt: skip
-    regret, hindsight = None, min(passing, default=None,
-                                  key=lambda at: (float(last.loss[at]), at != chosen))  # fmt: skip
+    ]  # fmt: skip
+    hindsight = min(passing, default=None, key=lambda at: (float(last.loss[at]), at != chosen))
+    regret = None
     if chosen is not None and hindsight is not None:
         regret = last.against(chosen, hindsight)
     return Selection(
         study=study.name, rule=rule, criterion=criterion,
         ranked=tuple(scored[at] for at in (*passing, *(at for at in order if at not in passing))),
-        chosen=None if chosen is None else scored[chosen], regret=regret,
-        hindsight=None if hindsight is None else scored[hindsight],
+        chosen=None if chosen is None else scored[chosen],
+        regret=regret, hindsight=None if hindsight is None else scored[hindsight],
         units={name: each.shape[1] for name, each in zip(splits, every, strict=True)},
         latencies=timed, refused=refused, cases=cases,
     )  # fmt: skip
 
 
 def check_rule(study: Any) -> None:
-    """Refuse, before anything is run, a [select] whose measure, regimes or `over` is unknown.
+    """Refuse, before anything is run, a [select] whose measure or `over` is unknown.
 
     Raises:
         InputError: with the nearest name that is known.
     """
     rule = study.definition.selection
     if rule != type(rule)():
-        _criterion(rule, _comparable(study, study.plan()))
+        cases = study.plan()
+        _check_split(study, cases)
+        _criterion(rule, cases)
+
+
+def regimes_of(cases: pd.DataFrame) -> pd.Series:
+    """Return the regime of each case: its condition."""
+    return cases["condition"].astype(str).replace("", "everywhere")
 
 
 def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     """Return the measure of a rule over the regimes of the cases."""
-    regimes = tuple(dict.fromkeys(cases["regime"]))
+    regimes = tuple(regimes_of(cases).unique())
     one_of("regime in over =", rule.over, (AVERAGE, WORST, *regimes))
     summary, name = rule.measure
     with told_with("criterion ="):
         return Criterion(measures.measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
 
 
-def _comparable(study: Any, cases: pd.DataFrame) -> pd.DataFrame:
-    """Return the cases with their regime, after a check that they can be compared."""
-    if len(cases) < len(study.plan()) or cases.empty:
+def _check_split(study: Any, cases: pd.DataFrame) -> None:
+    """Refuse cases that are not all there, or flights that are not split."""
+    planned = len(study.plan())
+    if len(cases) < planned or cases.empty:
         raise InputError(
-            f"{study.name} is unfinished, {len(cases)} of {len(study.plan())} planned cases have a "
-            "row: finish it first (sparsefit study run)"
+            f"{study.name} is unfinished, {len(cases)} of {planned} planned cases have a row: "
+            "finish it first (sparsefit study run)"
         )
     missing = set(SPLITS) - set(cases["split"])
     if missing and study.kind == "flights":
@@ -402,25 +419,16 @@ def _comparable(study: Any, cases: pd.DataFrame) -> pd.DataFrame:
             f"{study.name} has no flights to {' or to '.join(sorted(missing))}: "
             "give the study file a [split] with validate and evaluate"
         )
-    return _with_regimes(cases)
-
-
-def _with_regimes(cases: pd.DataFrame) -> pd.DataFrame:
-    """Return the cases with their regime: their condition."""
-    regime = cases["condition"].astype(str)
-    return cases.assign(regime=regime.where(regime != "", "everywhere"))
 
 
 def check(selection: Selection, cases: pd.DataFrame) -> Check:
     """Return what the cases of fresh units, of the same candidates, say of the choice."""
     if selection.chosen is None:
         raise ValueError("nothing was chosen")
-    placed = _with_regimes(cases)
-    candidates = [str(name) for name in dict.fromkeys(placed["candidate"])]
-    trials = Trials(placed, candidates, selection.criterion, 0)
-    own = candidates.index(selection.chosen.candidate)
-    best = min(range(len(candidates)), key=lambda at: (float(trials.loss[at]), at != own))
-    title = placed["title"].to_numpy()[trials.at[0] == best][0]
+    titles = dict(zip(cases["candidate"], cases["title"], strict=True))
+    trials = Trials(cases, list(titles), selection.criterion, 0)
+    own = list(titles).index(selection.chosen.candidate)
+    best = min(range(len(titles)), key=lambda at: (float(trials.loss[at]), at != own))
     broken = trials.breaches(selection.rule, selection.latencies)[own]
-    return Check(trials.shape[1], *trials.score(own), trials.against(own, best), str(title),
-                 broken, len(candidates))  # fmt: skip
+    return Check(trials.shape[1], *trials.score(own), trials.against(own, best),
+                 str(list(titles.values())[best]), broken, len(titles))  # fmt: skip

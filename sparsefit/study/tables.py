@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError, suggestion
+from sparsefit.errors import InputError
 from sparsefit.study import entries, measures, resampling, solver_times
 from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
@@ -218,64 +218,6 @@ def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
                       ("Failures are within no limit.", INTERVALS))  # fmt: skip
 
 
-def contrasts(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return declared pairs, paired by flight, with intervals, tests and Holm's correction.
-
-    A name is a value of one column: a protocol, a title, a back-end, a label or a level; without
-    any contrast each title stands against the first.
-    """
-    import pandas as pd
-
-    titles = [str(title) for title in cases["title"].unique()]
-    rows: list[list[Any]] = []
-    for first, second in entry.contrasts or [(title, titles[0]) for title in titles[1:]]:
-        sides = sides_of(cases, first, second)
-        shared = pd.Index(sides[0]["flight"].unique()).intersection(sides[1]["flight"].unique())
-        for each in entry.measures:
-            statistic = resampling.pooled(each.reduce)
-            grids = [resampling.by_unit(each.values(own), own["flight"], shared) for own in sides]
-            apart = resampling.difference(statistic, *grids)
-            better = first if (apart.effect > 0) == each.more else second
-            rows.append([
-                each.phrase, first, second, "tie" if apart.tie else f"{better} is better",
-                len(shared), *(float(statistic(grid)) for grid in grids), apart.effect, apart.low,
-                apart.high, resampling.exchange_p(statistic, *grids),
-            ])  # fmt: skip
-    for row, adjusted in zip(rows, resampling.holm([row[-1] for row in rows]), strict=True):
-        row[3] = row[3] if adjusted <= 0.05 else "tie"
-        row.append(adjusted)
-    columns = (
-        *map(Column, ("measure", "first", "second", "verdict")), Column("flights", format="d"),
-        *(Column(name, group="summary") for name in ("first", "second")), Column("effect"),
-        *(Column(name, group="95 %") for name in ("from", "to")),
-        *(Column(name, format=".4f") for name in ("p", "p (Holm)")),
-    )  # fmt: skip
-    note = (
-        "Paired by flight, first minus second. 95 %: bootstrap over flights "
-        f"({resampling.RESAMPLES}); p by {resampling.EXCHANGES} exchanges within flights, adjusted "
-        "for this table by Holm's rule."
-    )
-    return Table(entry.title or "Contrasts", columns, list(map(tuple, rows)), (*entry.notes, note))
-
-
-def sides_of(cases: pd.DataFrame, *pair: str) -> list[pd.DataFrame]:
-    """Return the cases of two values of one column.
-
-    Raises:
-        InputError: where no column holds both.
-    """
-    columns = ("protocol", "world", "reading", "condition", "title", "backend", "label", "solver")
-    names = (*(name for name in columns if name in cases), *measures.factors(cases))
-    every = [entries.levels_of(cases, name) for name in names]
-    for levels in every:
-        if set(pair) <= set(levels.cat.categories):
-            return [cases[levels == value] for value in pair]
-    values = {value for levels in every for value in levels.cat.categories}
-    for value in set(pair) - values:
-        raise InputError(f'contrasts: "{value}" is unknown{suggestion(value, values)}')
-    raise InputError(f'contrasts: "{pair[0]}" and "{pair[1]}" are of no one kind')
-
-
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
     "settings": settings,
     "protocols": protocols,
@@ -283,12 +225,11 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
     "coverage": coverage,
     "parameters": single,
     "profiles": profiles,
-    "contrasts": contrasts,
     "solvers": lambda entry, cases: solver_times.summary(cases),
     "winners": lambda entry, cases: solver_times.winners(cases),
     "failed": lambda entry, cases: solver_times.failures(cases),
 }
-MEASURED = {name: name in ("settings", "protocols", "profiles", "contrasts") for name in LAYOUTS}
+MEASURED = {name: name in ("settings", "protocols", "profiles") for name in LAYOUTS}
 FAILED = "Errors are over the cases with an estimate; failures are counted beside them."
 NAMED: Mapping[str, Options] = {
     "prediction": {"title": "What is predicted and recovered", "rows": ("title",), "measure": (
@@ -325,7 +266,6 @@ NAMED: Mapping[str, Options] = {
         "measure": ("scales-found", "scales-missed", "scales-spurious",
                     "scales-length-scale-error", "scales-mean-velocity-error", "unseen"),
     },
-    "contrasts": {"compare": "contrasts", "measure": ("mean timescale-error",)},
     "profiles": {"compare": "profiles", "measure": ("timescale-error",)},
     "times": {
         "title": "Times and certificates",

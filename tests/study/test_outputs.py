@@ -79,21 +79,6 @@ class TestTables:
         (row,) = made("coverage", frame(case(0, **ends), case(1, **ends))).rows
         assert row[1:6] == ("L_w", 2, 2, 2, 100.0)
 
-    def test_contrasts_are_adjusted_together_and_a_tie_is_called_one(self):
-        cases = spread(("lasso", "stlsq", "same"), 30)
-        lasso = cases["label"] == "lasso"
-        cases.loc[cases["label"] == "stlsq", "est_timescale"] += 0.05
-        cases.loc[cases["label"] == "same", "est_timescale"] = cases[lasso]["est_timescale"].values
-        entry = {"name": "contrasts", "contrasts": [["lasso", "stlsq"], ["lasso", "same"]]}
-        first, second = made(entry, cases).frame.to_dict("records")
-        assert (first["verdict"], second["verdict"]) == ("lasso is better", "tie")
-        assert first["p (Holm)"] == pytest.approx(min(1.0, 2 * first["p"]))
-        assert second["p"] == 1.0
-        with pytest.raises(InputError, match='"laso" is unknown: did you mean "lasso"'):
-            made(entry | {"contrasts": [["laso", "stlsq"]]}, cases)
-        with pytest.raises(InputError, match="of no one kind"):
-            made(entry | {"contrasts": [["lasso", "paper"]]}, cases)
-
     def test_a_reference_stands_first(self):
         reference = Reference("paper, Table 2", 95, signed_error=(-18.8, -5.91, 33.3))
         table = made("errors", spread(), reference=reference)
@@ -347,7 +332,7 @@ class TestSolvers:
 
     def test_pictures(self):
         told = figures.figures(study(self.cases), self.cases)
-        assert list(told) == ["profiles", "shapes", "accuracy"]
+        assert list(told) == ["profiles", "shapes"]
         line = {each.get_label(): each for each in told["profiles"].figure.axes[2].lines}["slow"]
         assert max(line.get_ydata()) == 100.0
         assert line.get_xdata()[1] == pytest.approx(4.0)

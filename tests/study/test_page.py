@@ -67,7 +67,7 @@ class TestPage:
 
     def test_the_verdict_stands_in_front(self, tmp_path):
         cases = frame(*(solve(f"p{n}", name, 0.1) for n in range(5) for name in ("a", "b")))
-        page.write(study(cases, tmp=tmp_path, figures=("accuracy",)))
+        page.write(study(cases, tmp=tmp_path, figures=("shapes",)))
         text = (tmp_path / "report.html").read_text()
         heads = re.findall(r'<button type="button">([^<]*)</button></th>', text)
         assert heads[:3] == ["objective", "solver", "verdict"]
@@ -77,13 +77,13 @@ class TestPage:
         sizes = {"a": 0.2, "b": 0.1}
         cases = frame(*(solve(f"p{n}", name, 0.1, holdout_error=size) for n in range(3)
                         for name, size in sizes.items()))  # fmt: skip
-        made = study(cases, tmp=tmp_path, figures=("accuracy",))
+        made = study(cases, tmp=tmp_path, figures=("shapes",))
         assert next(iter(tables.tables(made, cases))) == "prediction"
         text = page.write(made)[-1].read_text()
         assert (
             "Median held-out error, of the target's variance, over 3 problems: 10.0 % (b)" in text
         )
-        assert text.index("What is predicted and recovered") < text.index("![accuracy]")
+        assert text.index("What is predicted and recovered") < text.index("![shapes]")
 
     def test_a_headline_without_any_word_of_the_study(self):
         cases = run()
@@ -94,7 +94,6 @@ class TestPage:
 
     @pytest.mark.parametrize("outputs", [
         {"tables": ("eror",)}, {"figures": ("skatter",)}, {"headline": "eror"},
-        {"tables": ({"name": "contrasts", "contrasts": [["laso", "stlsq"]]},)},
     ])  # fmt: skip
     def test_unknown_outputs_are_refused_before_anything_is_run(self, outputs):
         with pytest.raises(InputError):

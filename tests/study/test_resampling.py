@@ -10,13 +10,10 @@ from sparsefit.study.resampling import (
     QUANTILES,
     SUMMARIES,
     TINY,
-    Difference,
     best_probabilities,
     by_unit,
     difference,
     ends,
-    exchange_p,
-    holm,
     interval,
     mean,
     pooled,
@@ -101,32 +98,10 @@ def test_a_difference_is_the_mean_of_paired_differences():
     assert difference(MEAN, FIRST[:, None], FIRST[:, None]).identical
 
 
-def test_exchanges_are_the_permutation_test_of_scipy():
-    first, second = FIRST[:12], FIRST[12:24] + 0.8
-    theirs = stats.permutation_test(
-        (first, second), lambda x, y, axis: x.mean(axis) - y.mean(axis),
-        permutation_type="samples", vectorized=True, n_resamples=np.inf,
-    )  # fmt: skip
-    ours = exchange_p(MEAN, first[:, None], second[:, None])
-    assert ours == pytest.approx(theirs.pvalue, abs=0.02)
-    assert exchange_p(MEAN, first[:, None], first[:, None]) == 1.0
-
-
-def test_units_to_end_a_tie():
-    apart = Difference(1.0, -1.0, 3.0, 25)
-    assert apart.tie
-    assert apart.more_units == 75  # half the interval is twice the effect: four times the units
-    assert Difference(2.0, 1.0, 3.0, 25).more_units == 0
-    assert math.isinf(Difference(0.0, 0.0, 0.0, 25, identical=True).more_units)
-
-
-def test_probability_to_be_the_best_and_holm_by_hand():
+def test_probability_to_be_the_best_by_hand():
     losses = np.array([[1.0, 2.0, 3.0, 1.0], [2.0, 1.0, 3.0, 2.0], [9.0, 9.0, 3.0, 9.0]])
     expected = [(2 + 1 / 3) / 4, (1 + 1 / 3) / 4, 1 / 12]
     assert best_probabilities(losses) == pytest.approx(expected)
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert holm([0.03, math.nan, 0.01]) == pytest.approx([0.03, math.nan, 0.02], nan_ok=True)
-    assert holm([]) == []
 
 
 def test_ratios_by_hand():
