@@ -36,7 +36,12 @@ def outcomes_on_dask(
         MissingExtra: dask is not installed.
         InputError: the scheduler cannot be reached, or has no workers.
     """
-    dask = distributed()
+    try:
+        dask: Any = import_module("distributed")
+    except ImportError:
+        raise MissingExtra(
+            "dask is not installed: pip install 'sparsefit[dask]', or leave --executor out"
+        ) from None
     with ExitStack() as stack:
         client = _client(dask, scheduler, processes, stack)
         hands = sum(client.nthreads().values())
@@ -89,13 +94,3 @@ def _client(dask: Any, scheduler: str | None, processes: int, stack: ExitStack) 
     except (OSError, ValueError) as error:
         cause = described(error)
         raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None
-
-
-def distributed() -> Any:
-    """The package of dask's scheduler; MissingExtra where it is not installed."""
-    try:
-        return import_module("distributed")
-    except ImportError:
-        raise MissingExtra(
-            "dask is not installed: pip install 'sparsefit[dask]', or leave --executor out"
-        ) from None

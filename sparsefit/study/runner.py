@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -51,8 +52,9 @@ class RunSummary:
     @classmethod
     def of(cls, store: Store, **run: Any) -> RunSummary:
         """The summary of what is in a store."""
-        counts = (store.statuses, int(store.stale.sum()), store.versions, store.unplanned)
-        return cls(store.folder, store.plan.size, *counts, store.damaged, **run)
+        statuses, versions = (Counter(filter(None, all_)) for all_ in (store.status, store.version))
+        counts = (statuses, int(store.stale.sum()), versions, store.unplanned, store.damaged)
+        return cls(store.folder, store.plan.size, *counts, **run)
 
     @property
     def done(self) -> int:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import sqlite3
 import time
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -132,16 +131,6 @@ class Store:
 
     def _which(self, cases: list[bool]) -> BoolArray:
         return np.array(cases, dtype=bool).reshape(self.plan.shape)
-
-    @property
-    def statuses(self) -> Counter[str]:
-        """The number of cases that ended in each status."""
-        return Counter(filter(None, self.status))
-
-    @property
-    def versions(self) -> Counter[str]:
-        """The number of rows that each version made."""
-        return Counter(filter(None, self.version))
 
     @property
     def finished(self) -> bool:

@@ -124,11 +124,6 @@ class Study:
         """The plan: every case before any is run."""
         return Plan(self.experiment)
 
-    @property
-    def factors(self) -> Mapping[str, str]:
-        """The role of each varied dotted key: "condition" or "candidate"."""
-        return self.experiment.factors()
-
     def plan(self) -> pd.DataFrame:
         """One row a case: unit, condition, candidate, title and the level of every factor."""
         return self.planned.frame()

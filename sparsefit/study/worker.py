@@ -120,18 +120,21 @@ def serve(
     A copy of it, made by code that forks, ends where it would answer.
     """
     warnings.simplefilter("ignore")
-    if math.isfinite(memory):
-        _limit_memory(memory)
-    owner, number, desk, content = os.getpid(), 0, None, {}
-    verb = ""
+    with suppress(ImportError, ValueError, OSError, OverflowError):  # OverflowError: no limit
+        import resource
+
+        most = int(memory * 1e6)
+        resource.setrlimit(resource.RLIMIT_DATA, (most, most))  # of Linux, private memory
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    owner, number, desk, verb, content = os.getpid(), 0, None, "", {}
     while True:
         try:
+            answer = None
             if desk is None:
                 desk = make(*arguments)
-                line = packed({"number": 0, "answer": {}})
             else:
                 answer = getattr(desk, verb)(**content)
-                line = packed({"number": number, "answer": {} if answer is None else answer})
+            line = packed({"number": number, "answer": answer or {}})
         except MemoryError as error:
             gc.collect()
             line = packed({"number": number, "error": f"memory: {described(error)}"})
@@ -145,16 +148,6 @@ def serve(
             number, verb, content = pickle.load(asks)
         except (EOFError, OSError):  # the parent is gone
             return
-
-
-def _limit_memory(megabytes: float) -> None:
-    """Let allocations beyond the limit fail; of Linux, where private memory is counted."""
-    with suppress(ImportError, ValueError, OSError):
-        import resource
-
-        most = int(megabytes * 1e6)
-        resource.setrlimit(resource.RLIMIT_DATA, (most, most))
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def memory_limit(requested: float | None, processes: int) -> float:
@@ -250,27 +243,20 @@ class Worker:
                 if self.ask is not None:
                     self._begin()
                 continue
-            return self._answer(record, heard)
+            content, error = record.get("answer", {}), record.get("error", "")
+            whole = record.get("number") == self.number and not self.buffer
+            if not (whole and isinstance(content, dict) and isinstance(error, str)):
+                return self._lost("crashed", GARBLED)
+            wall, cpu = math.nan, math.nan
+            if self.ask is not None and self.ask.timed:
+                wall, cpu = heard - self.sent[0], cpu_seconds(self.process.pid) - self.sent[1]
+            return Answer("error" if error else "ok", error, content, wall, cpu)
         if ended:
             return self._ended()
         if time.monotonic() > self.deadline:
             limit = self.ask.limit if self.started and self.ask else START_SECONDS
             return self._lost("timeout", f"took longer than {limit:g} s")
         return None
-
-    def _answer(self, record: Mapping[str, Any], heard: float) -> Answer:
-        content, error = record.get("answer", {}), record.get("error", "")
-        if (
-            self.buffer
-            or record.get("number") != self.number
-            or not isinstance(content, dict)
-            or not isinstance(error, str)
-        ):
-            return self._lost("crashed", GARBLED)
-        wall, cpu = math.nan, math.nan
-        if self.ask is not None and self.ask.timed:
-            wall, cpu = heard - self.sent[0], cpu_seconds(self.process.pid) - self.sent[1]
-        return Answer("error" if error else "ok", error, content, wall, cpu)
 
     def _ended(self) -> Answer:
         """The process closed its end: how it ended."""

@@ -64,7 +64,7 @@ def test_every_combination_once(tmp_path: Path) -> None:
 
 def test_the_plan_holds_unit_condition_candidate_title_and_factors(tmp_path: Path) -> None:
     study = load(tmp_path, HEAD + LASSO + REST)
-    plan, factors = study.plan(), study.factors
+    plan, factors = study.plan(), study.experiment.factors()
     assert factors == {
         "flights.velocity_noise": "condition",
         "library.target": "candidate",
