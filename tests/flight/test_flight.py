@@ -49,10 +49,6 @@ def test_some_rows_are_a_flight():
         flight.rows(TIME > 0.15)
 
 
-def test_lists_and_integers_are_taken():
-    assert flight_with(time=[0, 1, 2, 3]).time.dtype == np.float64
-
-
 def test_repeated_time_names_both_rows():
     time = np.arange(30) / 100.0
     time[[16, 17]] = time[[17, 16]]

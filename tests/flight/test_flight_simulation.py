@@ -65,11 +65,6 @@ def test_sampled_velocity_is_smooth():
     np.testing.assert_allclose(np.diff(fine.velocity[::4], n=2, axis=0), bend, atol=1e-11)
 
 
-def test_a_particle_at_rest_in_a_stagnation_point_stays():
-    flight = fly(FLOW, PointMassVehicle(0.5), initial_position=(0.0, 0.0))
-    np.testing.assert_array_equal(flight.position, 0.0)
-
-
 def test_samples_and_starts():
     flight = fly(duration=10.0)
     np.testing.assert_array_equal(flight.time, np.arange(1001) / 100.0)

@@ -253,13 +253,6 @@ def test_superposition_is_the_sum_and_a_wind_carries_it():
         SuperposedFlow((PLAIN,), wind=(1.0,))
 
 
-def test_values_are_stored_as_floats_and_compare_equal():
-    assert CellularFlow(6, np.float64(4)) == PLAIN
-    assert type(CellularFlow(6, 4).mean_velocity) is float
-    assert SuperposedFlow([PLAIN]).components == (PLAIN,)
-    assert len({PLAIN, CellularFlow(6, 4), TWO}) == 2
-
-
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf, "3", None, True])
 def test_bad_parameters_are_named(bad):
     with pytest.raises(InputError, match=r"mean_velocity .* \[m/s\]"):

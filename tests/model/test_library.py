@@ -12,7 +12,6 @@ from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model import library as room
-from sparsefit.model.columns import CANDIDATES, wave_theta
 from sparsefit.model.columns import candidate_columns as columns_of
 from sparsefit.model.grid import LengthScaleGrid, wave_rings
 from sparsefit.model.library import Library
@@ -44,23 +43,6 @@ def test_columns_are_the_formulas_of_eq_19_group_by_group():
         x, y = np.pi * position[:, 0] / scale, np.pi * position[:, 1] / scale
         for c, formula in enumerate(FORMULAS):
             assert theta[:, 8 * j + c] == pytest.approx(formula(x, y), abs=1e-13)
-
-
-def test_columns_at_a_point_worked_by_hand():
-    # x = L/6, y = L/3: sin x = 1/2, cos x = r/2, sin y = r/2, cos y = 1/2 with r = sqrt(3).
-    r = np.sqrt(3.0)
-    row = columns_of(np.array([[1.0, 2.0]]), np.array([6.0]))[0]
-    assert row == pytest.approx([0.5, r / 2, r / 2, 0.5, r / 4, 0.25, 0.75, r / 4])
-
-
-def test_the_true_flow_is_two_columns_of_its_group():
-    flown = flight()
-    theta = columns_of(flown.position, np.array([4.2]))
-    weights = np.zeros((8, 2))
-    weights[CANDIDATES.index("sin x cos y"), 0] = 15.0
-    weights[CANDIDATES.index("cos x sin y"), 1] = -15.0
-    expected = flown.flow.velocity(*flown.position.T)
-    assert theta @ weights == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_library_too_large_is_refused_before_it_is_made():
@@ -119,6 +101,9 @@ def test_a_grid_by_count_is_linear():
         ({"spacing": "wavenumber"}, "needs count"),
         ({"spacing": "wave-number"}, 'did you mean "wavenumber"'),
         ({"step": 1e-9}, "larger step"),
+        ({"spacing": "flight", "step": 0.2}, "not step"),
+        ({"spacing": "flight", "count": 3}, "not step or count"),
+        ({"spacing": "flight", "fraction": 0.0}, "lobe"),
     ],
 )
 def test_bad_grids_are_refused(settings, words):
@@ -144,11 +129,6 @@ def test_a_library_builds_theta_target_groups_and_names(target):
     assert problem.group_scales.tolist() == scales.tolist()
     assert problem.names[8] == "sin x (L = 2.5 m)"
     assert (problem.samples, problem.columns) == problem.theta.shape
-
-
-def test_an_unknown_target_is_refused():
-    with pytest.raises(InputError, match='did you mean "flow-velocity"'):
-        Library(target="flow-velocty")
 
 
 def test_a_large_flight_is_compressed_to_the_same_inner_products(monkeypatch):
@@ -206,15 +186,6 @@ def test_a_grid_of_the_flight_is_resolved_when_the_library_is_built():
     assert plain.resolving(extent) is plain
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [({"step": 0.2}, "not step"), ({"count": 3}, "not step or count"), ({"fraction": 0.0}, "lobe")],
-)
-def test_a_grid_of_the_flight_takes_a_fraction_of_the_lobe_only(changes, words):
-    with pytest.raises(InputError, match=words):
-        LengthScaleGrid(2.0, 8.0, spacing="flight", **changes)
-
-
 def test_a_grid_of_the_flight_has_no_scales_without_one():
     with pytest.raises(InputError, match="every flight"):
         _ = LengthScaleGrid(2.0, 8.0, spacing="flight").scales
@@ -252,36 +223,6 @@ def test_rings_are_length_scales_of_square_cells_over_half_the_plane():
     assert ((angles >= 0) & (angles < math.pi)).all()
 
 
-def test_one_length_scale_is_one_ring():
-    assert wave_rings(5.0, 5.0, 20.0)[2] == pytest.approx([5.0])
-
-
-def test_the_columns_are_those_of_their_stream_functions():
-    """u = d psi/dy and v = -d psi/dx, by central differences of psi."""
-    grid = Library(LengthScaleGrid(4.0, 8.0), family="waves")
-    columns = grid.columns(10.0 * np.eye(2))
-    theta = columns.at(POSITION).reshape(len(POSITION), 2, -1, 2)
-    step = 1e-5
-
-    def psi(x, y):
-        phase = np.stack([x, y], axis=1) @ columns.parameters.T
-        return np.stack([np.cos(phase), np.sin(phase)], axis=2)
-
-    x, y = POSITION.T
-    u = (psi(x, y + step) - psi(x, y - step)) / (2 * step)
-    v = -(psi(x + step, y) - psi(x - step, y)) / (2 * step)
-    np.testing.assert_allclose(theta[:, 0], u, atol=1e-9)
-    np.testing.assert_allclose(theta[:, 1], v, atol=1e-9)
-
-
-def test_a_cellular_flow_is_two_waves():
-    target = CellularFlow(7.0, 4.2).velocity(*POSITION.T).reshape(-1, 1)
-    waves = wave_theta(POSITION, math.pi / 4.2 * np.array([[1.0, 1.0], [1.0, -1.0]]))
-    # psi = (U0 L/pi) sin(pi x/L) sin(pi y/L) = (U0 L/2 pi) (cos k(x - y) - cos k(x + y))
-    weights = 7.0 * 4.2 / (2 * math.pi) * np.array([[-1.0], [0.0], [1.0], [0.0]])
-    np.testing.assert_allclose(waves @ weights, target, atol=1e-12)
-
-
 def test_rows_are_x_and_y_of_one_sample_after_the_other(samples, problem):
     thin = slice(None, None, 10)
     phi = samples.flow_velocity(VEHICLE)[thin]
@@ -313,6 +254,8 @@ def test_groups_are_waves_rings_or_both(samples, problem, groups):
         ({"family": "waves", "groups": "rings"}, 'did you mean "ring"'),
         ({"groups": "ring"}, "'groups' is a setting of family 'waves', not of 'cells'"),
         ({"family": "waves", "target": "acceleration"}, "needs family 'cells'"),
+        ({"target": "flow-velocty"}, 'did you mean "flow-velocity"'),
+        ({"unknown": ("wind",), "target": "acceleration"}, "needs the target 'flow-velocity'"),
         ({"every": 0}, "every must be an integer, 1 or above"),
     ],
 )

@@ -128,11 +128,6 @@ def test_refuses_what_cannot_be_told(unknown, words):
         Library(unknown=unknown)
 
 
-def test_refuses_another_target():
-    with pytest.raises(InputError, match="needs the target 'flow-velocity'"):
-        Library(target="acceleration", unknown=("wind",))
-
-
 def test_drag_that_cannot_be_sought_is_refused():
     quadratic = sf.PointMassVehicle(float("inf"), (0.0, 0.0), drag=0.1)
     both = sf.PointMassVehicle(0.5, (0.0, 0.0), drag=0.1)

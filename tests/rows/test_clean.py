@@ -145,12 +145,6 @@ def test_uneven_steps_are_smoothed_as_even_ones():
     assert errors["uneven"] < 1.5 * errors["even"]  # what is interpolated is not white
 
 
-def test_a_vehicle_at_rest_is_not_repaired():
-    time = np.arange(300) / 100.0
-    rest = Flight(time, np.zeros((300, 2)), np.zeros((300, 2)), VEHICLE)
-    assert AUTO(rest).repairs == Repairs()
-
-
 def test_where_most_stand_out_none_does(noisy):
     dirty, _ = spoilt(noisy, 320, seed=2, size=50.0)
     assert AUTO(dirty).repairs.outliers == 0
