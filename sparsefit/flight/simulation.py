@@ -110,7 +110,8 @@ def simulate_flight(
     speed = getattr(true_flow, "mean_velocity", 0.0)
     pace = vehicle.rate + (2.0 * math.pi * speed / period if period else math.nan)
     right_hand_side = _right_hand_side(flow_at, vehicle, thrust, most)
-    states = _integrate(right_hand_side, state, time, kicks, STRIDE / pace)
+    stride = STRIDE / pace if pace > 0 else math.nan
+    states = _integrate(right_hand_side, state, time, kicks, stride)
     if logged is not None:
         logged = logged + level * pushes.standard_normal(logged.shape)
     return Flight(

@@ -9,6 +9,7 @@ from sparsefit.errors import InputError
 from sparsefit.flight import simulate_flight, simulation
 from sparsefit.flight.flow import CellularFlow, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import WaveFlow
 
 VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
 FLOW = CellularFlow(15.43, 4.21)
@@ -39,6 +40,9 @@ def test_without_a_flow_the_air_is_still():
     np.testing.assert_allclose(flight.position, a * tau * (t - lag), atol=1e-10)
     same = fly(STILL, duration=5.0, initial_position=(0.0, 0.0))
     np.testing.assert_allclose(flight.position, same.position, atol=1e-12)
+    glider = PointMassVehicle(math.inf, (5.0, 3.0), drag=0.1)
+    calm = fly(WaveFlow([[1.0, 0.0]], [0.0], [0.0]), glider, initial_position=(0.0, 0.0))
+    np.testing.assert_allclose(calm.position, fly(None, glider).position, atol=1e-12)
     windy = fly(SuperposedFlow((STILL,), (1.0, -2.0)), duration=20.0)
     np.testing.assert_allclose(windy.velocity[-1], [1.0 + 2.5, -2.0 + 1.5], atol=1e-10)
 
