@@ -74,18 +74,14 @@ def candidate_columns(position: Array, scales: Array) -> Array:
     words = f"{len(position)} samples x {len(scales)} scales x 8"
     check_size(len(position), len(scales) * len(CANDIDATES), words)
     theta = np.empty((len(position), len(scales), len(CANDIDATES)))
-    wavenumbers, buffer = np.pi / scales, np.empty((len(CANDIDATES), BUILD_ROWS, len(scales)))
-    # Rows in blocks, so that sines, cosines and their products stay in cache; each block in one
-    # piece a candidate, as strided products take twice the time.
-    for start in range(0, len(theta), BUILD_ROWS):
-        block = position[start : start + BUILD_ROWS]
-        out = buffer[:, : len(block)]
-        (out[0], out[2]), (out[1], out[3]) = (
-            sines_and_cosines(block[:, axis : axis + 1] * wavenumbers) for axis in range(2)
+    k = np.pi / scales
+    for start in range(0, len(theta), BUILD_ROWS):  # sines, cosines and products stay in cache
+        block, out = position[start : start + BUILD_ROWS], theta[start : start + BUILD_ROWS]
+        (out[..., 0], out[..., 2]), (out[..., 1], out[..., 3]) = (
+            sines_and_cosines(block[:, axis : axis + 1] * k) for axis in range(2)
         )
         for place, (first, second) in enumerate(((0, 1), (0, 3), (2, 1), (2, 3)), 4):
-            np.multiply(out[first], out[second], out=out[place])
-        theta[start : start + BUILD_ROWS] = out.transpose(1, 2, 0)
+            np.multiply(out[..., first], out[..., second], out=out[..., place])
     return theta.reshape(len(position), -1)
 
 
