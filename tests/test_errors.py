@@ -114,8 +114,17 @@ def test_a_setting_is_refused_with_its_owner():
         (lambda: integer("grid: count", 0, 1), "an integer, 1 or above; got 0"),
         (lambda: integer("grid: count", 2.0, 1), "an integer, 1 or above; got 2.0"),
         (lambda: number_setting("grid", "count", 10**400, low=0.0), "a number in [0, inf), not 1"),
-        (lambda: number_setting("grid", "count", 2, low=0, high=1), "a number in [0, 1], not 2"),
+        (
+            lambda: number_setting("grid", "count", 0.0, low=0.0, open_low=True, meaning="why"),
+            "a number in (0, inf), not 0.0; why",
+        ),
+        *(
+            (lambda v=v: number_setting("grid", "count", v, low=0, high=1), "a number in [0, 1]")
+            for v in (2, -0.1, math.nan, math.inf, "0.5", None, True, [0.5], 1j)
+        ),
     ]
+    for value in (0.0, 1, np.float32(0.5), np.int64(1)):
+        number_setting("grid", "count", value, low=0.0, high=1.0)
     for check, words in refusals:
         with pytest.raises(InputError) as error:
             check()

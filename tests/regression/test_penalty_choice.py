@@ -184,7 +184,7 @@ def divergence(problem, penalty, name, alpha, **more):
     ],
 )
 def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
-    problem = regular(5, samples=16)
+    problem = regular(5, samples=9, groups=3, size=2)
     backend = backends.get(name, alpha_fraction=fraction, **more)
     penalty = backend.penalty(problem)
     alpha = fraction * alpha_max(problem.statistics.cross, penalty)
@@ -291,21 +291,6 @@ def test_points_without_a_solution_are_not_chosen(selection):
     nothing = sf.fit(regular(), Failing("auto", selection=selection, least=2.0))
     assert (nothing.status, nothing.reason) == ("error", "gave up")
     assert np.isnan(nothing.penalty_choice.criterion).all()
-
-
-@pytest.mark.parametrize("value", ["x", "Auto", "", "0.1", None, True])
-@both
-def test_other_words_are_refused_in_one_line(name, value):
-    with pytest.raises(InputError, match=r'alpha_fraction must be a number.*or "auto"') as caught:
-        backends.get(name, alpha_fraction=value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("value", ["aic", "Bic", None, 3])
-@both
-def test_unknown_rules_are_refused(name, value):
-    with pytest.raises(InputError, match=f"selection of {name}"):
-        backends.get(name, selection=value)
 
 
 @both

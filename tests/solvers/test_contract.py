@@ -11,7 +11,6 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.backend import PathBackend, PenalisedBackend
 from sparsefit.regression.losses import RootSquares
 from sparsefit.regression.problem import RegressionProblem
@@ -144,12 +143,6 @@ def test_settings_are_frozen_and_round_trip_through_json(case):
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(backend, key, None)
     assert isinstance(backend, backends.Backend)
-
-
-@every
-def test_unknown_settings_are_refused(case):
-    with pytest.raises(InputError, match=f"setting of {case[0]}"):
-        backends.get(case[0], alfa=1.0, **case[1])
 
 
 @every

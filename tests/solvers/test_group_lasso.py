@@ -1,6 +1,5 @@
-"""The group-LASSO against celer, a naive cvxpy model and Clarabel."""
+"""The group-LASSO against celer, and its two ways to solve."""
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from celer import GroupLasso
@@ -39,39 +38,6 @@ def test_celer_agrees_on_flights(noise, target, fraction):
     assert (found.status, found.repaired) == ("ok", False)
     assert found.certificate.primal <= other + 1e-12 * null
     assert other - found.certificate.primal <= 1e-6 * null
-
-
-@pytest.mark.parametrize("joint", [True, False])
-@pytest.mark.parametrize("group_weights", ["unit", "sqrt-size"])
-def test_a_naive_model_of_the_rows_agrees(joint, group_weights):
-    problem = regular(2)
-    problem = RegressionProblem.from_arrays(
-        problem.theta, problem.target, [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
-    )
-    rms = np.sqrt(np.mean(problem.theta**2, axis=0))
-    z, y, m = problem.theta / rms, problem.target, 60
-    omega = [1.0, 1.0, 1.0, 1.0] if group_weights == "unit" else [1.0, 2**0.5, 3**0.5, 6**0.5]
-    rows = [np.flatnonzero(problem.groups == g) for g in range(4)]
-    parts = [slice(None)] if joint else [slice(0, 1), slice(1, 2)]
-    top = max(
-        np.linalg.norm(z[:, on].T @ y[:, part] / m) / w
-        for on, w in zip(rows, omega, strict=True)
-        for part in parts
-    )
-    v = cp.Variable((12, 2))
-    size = sum(
-        w * cp.norm(cp.vec(v[on][:, part], order="F"))
-        for on, w in zip(rows, omega, strict=True)
-        for part in parts
-    )
-    model = cp.Problem(cp.Minimize(cp.sum_squares(y - z @ v) / (2 * m) + 0.15 * top * size))
-    model.solve(solver="CLARABEL", tol_gap_abs=1e-11, tol_gap_rel=1e-11)
-    backend = backends.get(
-        "group-lasso", alpha_fraction=0.15, separate=not joint, group_weights=group_weights
-    )
-    found = sf.fit(problem, backend)
-    assert found.certificate.primal == pytest.approx(model.value, rel=1e-8)
-    assert found.weights * rms[:, None] == pytest.approx(v.value, abs=1e-4)
 
 
 @given(seed=st.integers(0, 10**6), fraction=st.floats(1e-4, 1.0), separate=st.booleans())

@@ -101,13 +101,3 @@ def test_a_ridges_gap_by_hand():
     assert gap.value == pytest.approx(0.05)
     found = sf.fit(problem, backends.get("ridge", alpha_fraction=0.5))
     assert found.weights.item() == pytest.approx(4 / 3)
-
-
-@pytest.mark.parametrize("name", ["elastic-net", "ridge"])
-def test_the_penalty_can_be_chosen(name):
-    problem = regular(7, samples=120)
-    for selection in ("bic", "cross-validation"):
-        backend = backends.get(name, alpha_fraction="auto", selection=selection)
-        found = sf.fit(problem, backend)
-        assert found.status == "ok"
-        assert found.penalty_choice.index > 0

@@ -25,26 +25,26 @@ def nested(seed=2, subgroups=WAVES):
     return RegressionProblem.from_arrays(plain.theta, plain.target, UNEQUAL, subgroups=subgroups)
 
 
-@pytest.mark.parametrize("subgroups", [None, WAVES])
+@pytest.mark.parametrize(("ratio", "subgroups"), [(0.0, None), (0.3, None), (0.3, WAVES)])
 @pytest.mark.parametrize("separate", [True, False])
-def test_a_naive_model_of_the_rows_agrees(separate, subgroups):
+def test_a_naive_model_of_the_rows_agrees(separate, ratio, subgroups):
     problem = nested(subgroups=subgroups)
     rms = np.sqrt(np.mean(problem.theta**2, axis=0))
     z, y, m = problem.theta / rms, problem.target, problem.samples
     backend = backends.get(
-        "sparse-group-lasso", l1_ratio=0.3, separate=separate, group_weights="sqrt-size"
+        "sparse-group-lasso", l1_ratio=ratio, separate=separate, group_weights="sqrt-size"
     )
     alpha = 0.15 * alpha_max(problem.statistics.cross, backend.penalty(problem))
     v, size = cp.Variable((12, 2)), 0.0
     for part in ([0], [1]) if separate else ([0, 1],):
         for g in range(4):
             on = np.flatnonzero(np.array(UNEQUAL) == g)
-            size += 0.7 * len(on) ** 0.5 * cp.norm(cp.vec(v[on][:, part], order="F"))
+            size += (1 - ratio) * len(on) ** 0.5 * cp.norm(cp.vec(v[on][:, part], order="F"))
         for h in range(7 if subgroups else 0):
             on = np.flatnonzero(np.array(WAVES) == h)
-            size += 0.3 * cp.norm(cp.vec(v[on][:, part], order="F"))
+            size += ratio * cp.norm(cp.vec(v[on][:, part], order="F"))
     if subgroups is None:
-        size += 0.3 * cp.sum(cp.abs(v))
+        size += ratio * cp.sum(cp.abs(v))
     model = cp.Problem(cp.Minimize(cp.sum_squares(y - z @ v) / (2 * m) + alpha * size))
     model.solve(solver="CLARABEL", tol_gap_abs=1e-11, tol_gap_rel=1e-11)
     found = sf.fit(problem, dataclasses.replace(backend, alpha_fraction=0.15))

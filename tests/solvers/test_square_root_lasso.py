@@ -5,7 +5,6 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
@@ -122,11 +121,3 @@ def test_an_exact_fit_that_is_certified_has_no_reason_for_doubt():
     assert (found.status, found.reason) == ("ok", "")
     assert found.solver_status.startswith("root of the scaled path")
     assert found.certificate.proves(1e-9)
-
-
-def test_a_penalty_is_chosen_and_a_solver_of_squares_refused():
-    chosen = fitted(regular(1), "auto")
-    assert 0.0 < chosen.backend.alpha_fraction < 1.0
-    assert chosen.penalty_choice.selection == "cross-validation"
-    with pytest.raises(InputError, match="unknown solver of square-root-lasso"):
-        backends.get("square-root-lasso", solver="homotpy")
