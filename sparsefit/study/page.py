@@ -17,7 +17,6 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jinja2
 import numpy as np
 
 from sparsefit.plot.style import encoded
@@ -63,6 +62,8 @@ def to_html(name: str, question: str, answers: Sequence[str],
     Args:
         sections: by heading their parts: texts, lists of texts, tables, drawings and code.
     """
+    import jinja2
+
     here = resources.files(__package__)
     environment = jinja2.Environment(autoescape=True, trim_blocks=True)
     template = environment.from_string((here / "page.html").read_text(encoding="utf-8"))

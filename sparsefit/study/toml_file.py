@@ -13,7 +13,7 @@ import json
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
@@ -25,7 +25,7 @@ LARGEST = 1_000_000  # bytes of a study file, which are parsed within a second
 DEEPEST = 32  # tables and lists in one another
 KEY = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 LONG_KEY = re.compile(rf"{KEY}(?:[ \t]*+\.[ \t]*+{KEY}){{{DEEPEST},}}+")
-MOST_DIGITS = 300  # an integer beyond is no number that anything is computed with
+LONG_NUMBER = re.compile(r"[\da-fA-F_]{301}")  # no number that anything is computed with
 
 
 def read_toml(path: str | Path) -> dict[str, object]:
@@ -44,33 +44,26 @@ def read_toml(path: str | Path) -> dict[str, object]:
     if (long := LONG_KEY.search(text)) is not None:
         line = text.count("\n", 0, long.start()) + 1
         raise InputError(f"{path}:{line}: a key of more than {DEEPEST} parts: shorten it")
-    deep = f"{path}: nested too deeply for a study file: at most {DEEPEST} levels"
-    digits = f"{path}: holds an integer of more than {MOST_DIGITS} digits: write a smaller one"
+    if LONG_NUMBER.search(text):
+        raise InputError(f"{path}: holds an integer of more than 300 digits: write a smaller one")
     try:
         parsed = tomllib.loads(text)
+        depth = _depth(parsed)
     except tomllib.TOMLDecodeError as error:
         at = re.search(r"at line (\d+)", str(error))
         line = int(at.group(1)) if at else text.count("\n") + 1
         raise InputError(f"{path}:{line}: not TOML: {error}") from None
     except RecursionError:
-        raise InputError(deep) from None
-    except ValueError:  # Python reads no decimal integer of more than 4300 digits
-        raise InputError(digits) from None
-    for depth, value in _leaves(parsed):
-        if depth > DEEPEST:
-            raise InputError(deep)
-        if isinstance(value, int) and abs(value) > 10**MOST_DIGITS:
-            raise InputError(digits)
+        depth = DEEPEST + 1
+    if depth > DEEPEST:
+        raise InputError(f"{path}: nested too deeply for a study file: at most {DEEPEST} levels")
     return parsed
 
 
-def _leaves(value: object, depth: int = 0) -> Iterator[tuple[int, object]]:
-    """Every value that is no container, and every container below `DEEPEST`, with its depth."""
-    if depth <= DEEPEST and isinstance(value, dict | list):
-        for item in value.values() if isinstance(value, dict) else value:
-            yield from _leaves(item, depth + 1)
-    else:
-        yield depth, value
+def _depth(value: object) -> int:
+    """The levels of tables and lists in one another, a value that is none counted."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return 1 + max(map(_depth, inner), default=0)
 
 
 def canonical_json(value: object) -> str:
