@@ -130,13 +130,20 @@ class Ladder:
             self.best.residual <= 0.05 * self.rows.square or self.search.quiet(self.best.rest)
         )
 
-    def descend(self, shape: Shape, q: Array) -> None:
-        """Try a shape from q (p,), while it could be the best of its kind and is a flow."""
+    def descend(self, shape: Shape, q: Array) -> ShapeFit | None:
+        """The fit of a shape from q (p,); None where its kind has better ones or it is no flow."""
         alike = [fit.residual for fit in self.tried if fit.shape == shape]
         goal = min(alike, default=math.inf) * math.exp(CLOSE / self.search.worth)
         fit = descended(self.rows, shape, q, goal=goal)
-        if fit.residual <= goal and self.search.possible(fit):
-            self.tried.append(fit)
+        if fit.residual > goal or not self.search.possible(fit):
+            return None
+        self.tried.append(fit)
+        return fit
+
+    def nearest(self, phases: Array, *shapes: Shape) -> None:
+        """Try shapes, each from where it comes nearest to waves (2, 3)."""
+        for shape in shapes:
+            self.descend(shape, shape.nearest(phases))
 
     def lines(self, candidate: float) -> None:
         """Square cells along the axes, from the deepest lobes, and the one nearest a candidate."""
@@ -157,9 +164,8 @@ class Ladder:
             self.join(proposed)
             self.around()
         speed = math.sqrt(2 * float(np.mean(np.sum(self.rows.rest**2, axis=1))))
-        for look in (
-            partial(self.squares, 0.0), partial(self.squares, 0.6 * speed), self.pairs, self.several
-        ):  # fmt: skip
+        moving = partial(self.squares, 0.6 * speed)
+        for look in (partial(self.squares, 0.0), moving, self.pairs, self.several):
             if self.done:
                 break
             look()
@@ -176,22 +182,16 @@ class Ladder:
             if len(here.phases) != 2 or far or any(here is fit for fit in self.surrounded):
                 return
             self.surrounded.append(here)
-            drifting = here.shape.drifting
-            for shape in reversed(STAND):
-                if shape.size < here.shape.steady.size:
-                    shape = shape.moving if drifting else shape
-                    self.descend(shape, shape.nearest(here.phases))
+            shape, drifting = here.shape, here.shape.drifting
+            simpler = [own for own in reversed(STAND) if own.size < shape.steady.size]
+            self.nearest(here.phases, *(own.moving if drifting else own for own in simpler))
             if drifting:
-                self.descend(here.shape.steady, here.shape.steady.nearest(here.phases))
-            best, count = self.best, len(self.tried)
-            self.descend(PAIR.moving, PAIR.moving.nearest(best.phases))
-            free = self.tried[-1]
-            if len(self.tried) > count and max(best.residual, least) > price * max(
-                free.residual, least
-            ):
+                self.nearest(here.phases, shape.steady)
+            best = self.best
+            free = self.descend(PAIR.moving, PAIR.moving.nearest(best.phases))
+            if free and max(best.residual, least) > price * max(free.residual, least):
                 freer = [own for shape in reversed(STAND) for own in (shape.moving, shape)]
-                for shape in (*freer, PAIR):
-                    self.descend(shape, shape.nearest(free.phases))
+                self.nearest(free.phases, *freer, PAIR)
             if self.search.bic(here) - self.search.bic(self.best) < 0.1:
                 return
 
@@ -200,12 +200,9 @@ class Ladder:
 
         Their waves are k and its clockwise turn (k_y, -k_x); they move at up to fastest [m/s].
         """
-        scan, shape = self.search.scan, SQUARE
-        if fastest:
-            scan, shape = (
-                WaveScan.of(self.rows.place, self.search.radii, fastest, self.rows.weight),
-                SQUARE.moving,
-            )
+        place, weight, radii = self.rows.place, self.rows.weight, self.search.radii
+        scan = WaveScan.of(place, radii, fastest, weight) if fastest else self.search.scan
+        shape = SQUARE.moving if fastest else SQUARE
         if scan is None:
             return
         gains, omega = scan.gains(self.rows.rest)
@@ -262,9 +259,7 @@ class Ladder:
                 fewer = np.delete(here.phases[:, :2], weakest, axis=0)
                 there = self.with_waves(here, fewer) if len(fewer) else None
         if len(here.phases) >= 2:
-            order = np.argsort(-here.strengths)[:2]
-            for shape in (SQUARE, RECTANGLE):
-                self.descend(shape, shape.nearest(here.phases[order]))
+            self.nearest(here.phases[np.argsort(-here.strengths)[:2]], SQUARE, RECTANGLE)
 
     def instead(self) -> None:
         """Other places for either wave of the best pair, which may fit a track as well."""
@@ -276,7 +271,7 @@ class Ladder:
             for place in self.search.strong(alone.rest, 4):
                 phases = here.phases.copy()
                 phases[wave, :2] = place
-                self.descend(here.shape, here.shape.nearest(phases))
+                self.nearest(phases, here.shape)
 
     def length_scales(self, windows: Sequence[Window]) -> None:
         """Cells along the axes of several length scales, one from each window where BIC falls."""
