@@ -139,14 +139,18 @@ class Board:
         away = z[:2] - self.anchor
         self.history, self.sweep.block, self.restarts = [], [], self.restarts + 1
         if self.following:
-            self.state[:, :2], self.state[:, 2:4], self.state[:, 4:6] = away, z[2:], 0.0
-            self.covariance[:, :6, :] = self.covariance[:, :, :6] = 0.0
-            for level, state in enumerate(self.state):
-                gust = (LEVELS[level] * features(state[FLOW])[0][SPEED]) ** 2
-                diagonal = [*np.repeat(self.noise, 2), gust, gust]
-                self.covariance[level, range(6), range(6)] = diagonal
-            self._rebase(away)
+            self._settle(away, z)
         self.anchor = z[:2].copy()
+
+    def _settle(self, away: Array, z: Array) -> None:
+        """Place and velocity, ``away`` (2,) from the anchor, are as measured; a gust is unknown."""
+        self.state[:, :2], self.state[:, 2:4], self.state[:, 4:6] = away, z[2:], 0.0
+        self.covariance[:, :6, :] = self.covariance[:, :, :6] = 0.0
+        for level, state in enumerate(self.state):
+            gust = (LEVELS[level] * features(state[FLOW])[0][SPEED]) ** 2
+            diagonal = [*np.repeat(self.noise, 2), gust, gust]
+            self.covariance[level, range(6), range(6)] = diagonal
+        self._rebase(away)
 
     def _rebase(self, away: Array) -> None:
         """Count places and phases of the filters from another anchor, ``away`` (2,) from it."""
@@ -275,14 +279,10 @@ class Board:
             and error[LENGTH] < (0.01 * value[LENGTH]) ** 2
         ):
             return BoardDoubt.IMPRECISE
-        away = z[:2] - self.sweep.middle
-        self.state = np.tile(np.concatenate([away, z[2:], [0.0, 0.0], peak.flow]), (len(LEVELS), 1))
-        self.covariance = np.zeros((len(LEVELS), N, N))
-        self.covariance[:, range(4), range(4)] = np.repeat(self.noise, 2)
-        self.covariance[:, range(4, 6), range(4, 6)] = ((LEVELS * value[SPEED]) ** 2)[:, None]
-        self.covariance[:, FLOW, FLOW] = 4 * inverse
-        self._rebase(away)
         levels = len(LEVELS)
+        self.state, self.covariance = np.zeros((levels, N)), np.zeros((levels, N, N))
+        self.state[:, FLOW], self.covariance[:, FLOW, FLOW] = peak.flow, 4 * inverse
+        self._settle(z[:2] - self.sweep.middle, z)
         self.log_likelihood, self.square = np.zeros(levels), np.ones(levels)
         self.product, self.last = np.zeros(levels), np.zeros((levels, 4))
         self.anchor, self.following, self.remaining = z[:2].copy(), True, np.zeros(2)

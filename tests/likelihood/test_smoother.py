@@ -27,8 +27,8 @@ THRUST = (5.0, 3.0)
 TAU = 0.3
 
 
-def flown(seed, count=400, rate=25.0, noise=(0.05, 0.2), pattern=TRUE, place=(0.3, -0.8)):
-    """A flight without process noise through a pattern, and its log."""
+def motion_of(pattern):
+    """The motion through a pattern: the slopes of x, y, v_x, v_y."""
     kx, ky, a, b, omega = pattern.waves.T
 
     def motion(t, s):
@@ -37,8 +37,15 @@ def flown(seed, count=400, rate=25.0, noise=(0.05, 0.2), pattern=TRUE, place=(0.
         flow = np.array([np.sum(ky * slope), -np.sum(kx * slope)])
         return np.concatenate([s[2:], (flow - s[2:]) / TAU + THRUST])
 
+    return motion
+
+
+def flown(seed, count=400, rate=25.0, noise=(0.05, 0.2), pattern=TRUE, place=(0.3, -0.8)):
+    """A flight without process noise through a pattern, and its log."""
     time = np.arange(count) / rate
-    flight = solve_ivp(motion, (0, time[-1]), [*place, 2.0, 1.0], "DOP853", time, rtol=1e-10)
+    flight = solve_ivp(
+        motion_of(pattern), (0, time[-1]), [*place, 2.0, 1.0], "DOP853", time, rtol=1e-10
+    )
     states = flight.y.T
     rng = np.random.default_rng(seed)
     readings = states + rng.normal(size=states.shape) * np.repeat(noise, 2)
@@ -55,18 +62,6 @@ def halves(kicks, step, f):
     excess = np.zeros(len(kicks))
     excess[:2] = step / 6.0 * f[range(2), range(2, 4)] ** 2 * kicks[2:4]
     return [0.5 * step * kicks, 0.5 * step * kicks - excess]
-
-
-def test_white_noise_moves_a_position_by_a_third_of_the_cube_of_the_step():
-    """Var(x, v) = q^2 [dt^3/3, dt^2/2; dt^2/2, dt] of a slow vehicle: no level is told from a log
-    without measurement noise by any other, and half kicks alone would halve the wrong way."""
-    f = np.eye(4)
-    step = 0.01
-    f[range(2), range(2, 4)] = step
-    before, after = halves(np.array([0.0, 0.0, 1.0, 1.0]), step, f)
-    covariance = f @ np.diag(before) @ f.T + np.diag(after)
-    expected = np.array([[step**3 / 3.0, step**2 / 2.0], [step**2 / 2.0, step]])
-    np.testing.assert_allclose(covariance[::2, ::2], expected, rtol=1e-12)
 
 
 def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
@@ -136,7 +131,8 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     ]
     smoothed = forward.backward(change)
     np.testing.assert_allclose(smoothed.track, track + given, rtol=1e-8, atol=1e-10)
-    # the derivative of log L by the logarithm of each variance
+    # the derivative of log L by the logarithm of each variance, and the average information
+    columns = [design]
     for level, name in enumerate(model.disturbance.levels):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
         for step, f in zip(np.diff(nodes.time), matrices, strict=True):
@@ -145,16 +141,9 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
         expected = 0.5 * np.trace(np.linalg.solve(covariance, slope))
         squares = 0.5 * weights @ slope @ weights, expected
         np.testing.assert_allclose(smoothed.squares[level], squares, rtol=1e-8, err_msg=name)
-    # and the average information, with the columns of the levels
+        columns.append((slope @ weights)[:, None])
+    both = np.hstack(columns)
     again = replace(leg, last=smoothed).forward(names)
-    pushed = []
-    for level in range(4):
-        kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
-        for step, f in zip(np.diff(nodes.time), matrices, strict=True):
-            kicked += halves(space.kicks[level], step, f)
-        slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
-        pushed.append(slope @ weights)
-    both = np.column_stack([design, *pushed])
     expected = both.T @ np.linalg.solve(covariance, both)
     np.testing.assert_allclose(again.information, expected, rtol=1e-7, atol=1e-9)
 
@@ -166,15 +155,8 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
     log, states = flown(3, count=150)
 
     def misfit(p):
-        pattern = StreamPattern("axis", tuple(p[4:]))
-        kx, ky, a, b, _ = pattern.waves.T
-
-        def motion(_, s):
-            slope = b * np.cos(kx * s[0] + ky * s[1]) - a * np.sin(kx * s[0] + ky * s[1])
-            flow = np.array([np.sum(ky * slope), -np.sum(kx * slope)])
-            return np.concatenate([s[2:], (flow - s[2:]) / TAU + THRUST])
-
-        path = solve_ivp(motion, (0, log.time[-1]), p[:4], "DOP853", log.time, rtol=1e-10).y.T
+        motion, time = motion_of(StreamPattern("axis", tuple(p[4:]))), log.time
+        path = solve_ivp(motion, (0, time[-1]), p[:4], "DOP853", time, rtol=1e-10).y.T
         return ((path - np.hstack([log.position, log.velocity])) / [0.05, 0.05, 0.2, 0.2]).ravel()
 
     fit = least_squares(misfit, [*states[0], *TRUE.values], x_scale="jac", xtol=1e-12)

@@ -605,6 +605,22 @@ static int refine(sf_flow *flow, sf_peak *peak, int first)
     return 1;
 }
 
+/* Place and velocity of a filter, d from its anchor, are as measured at z, and it forgets a gust. */
+static void settle(const sf_flow *flow, sf_filter *filter, uint32_t level, const sf_real d[2],
+                   const sf_real z[4])
+{
+    const sf_real gust = square(LEVEL[level] * speed_of(filter->state + FLOW));
+    uint32_t i, j;
+    for (i = 0; i < FLOW; i++) {
+        for (j = 0; j < N; j++) {
+            filter->covariance[i][j] = filter->covariance[j][i] = 0;
+        }
+        filter->state[i] = i < 2u ? d[i] : i < 4u ? z[i] : 0;
+        filter->covariance[i][i] = i < 4u ? flow->noise[i / 2u] : gust;
+    }
+    rebase(filter, d);
+}
+
 /* Start the filters from a peak, at the last sample z. */
 static sf_doubt start(sf_flow *flow, const sf_peak *peak, const sf_real z[4])
 {
@@ -631,16 +647,13 @@ static sf_doubt start(sf_flow *flow, const sf_peak *peak, const sf_real z[4])
         sf_filter *filter = &flow->filter[level];
         memset(filter, 0, sizeof *filter);
         for (i = 0; i < M; i++) {
-            filter->state[i] = i < 2u ? d[i] : i < 4u ? z[i] : 0;
-            filter->covariance[i][i] =
-                i < 4u ? flow->noise[i / 2u] : square(LEVEL[level] * value[SPEED]);
             filter->state[FLOW + i] = peak->parameters[i];
             for (j = 0; j < M; j++) {
                 filter->covariance[FLOW + i][FLOW + j] = 4 * variance * inverse[i][j];
             }
         }
         filter->square = 1;
-        rebase(filter, d);
+        settle(flow, filter, level, d, z);
     }
     memcpy(flow->anchor, z, sizeof flow->anchor);
     flow->following = 1;
@@ -749,21 +762,12 @@ static void measure_noise(sf_flow *flow, const sf_real z[4])
 static void resume(sf_flow *flow, const sf_real z[4])
 {
     const sf_real away[2] = {z[0] - flow->anchor[0], z[1] - flow->anchor[1]};
-    uint32_t level, i, j;
+    uint32_t level;
     flow->recent = 0;
     flow->restarts++;
     memset(flow->block, 0, sizeof flow->block);
     for (level = 0; flow->following && (level < SF_LEVELS); level++) {
-        sf_filter *filter = &flow->filter[level];
-        const sf_real gust = square(LEVEL[level] * speed_of(filter->state + FLOW));
-        for (i = 0; i < FLOW; i++) {
-            for (j = 0; j < N; j++) {
-                filter->covariance[i][j] = filter->covariance[j][i] = 0;
-            }
-            filter->state[i] = i < 2u ? away[i] : i < 4u ? z[i] : 0;
-            filter->covariance[i][i] = i < 4u ? flow->noise[i / 2u] : gust;
-        }
-        rebase(filter, away);
+        settle(flow, &flow->filter[level], level, away, z);
     }
     memcpy(flow->anchor, z, sizeof flow->anchor);
 }
