@@ -33,9 +33,6 @@ class FlightLog:
         position: (m, 2) [m], NaN where there is no reading.
         velocity: (m, 2) [m/s], NaN likewise.
         thrust: the thrust acceleration [m/s^2], (2,) or one per row (m, 2).
-
-    Raises:
-        InputError: if the shapes differ, the time does not increase, or nothing was read.
     """
 
     time: Array
@@ -44,19 +41,12 @@ class FlightLog:
     thrust: Array
 
     def __post_init__(self) -> None:
-        """Check the arrays and give each its full shape."""
-        time = np.ascontiguousarray(self.time, dtype=np.float64)
-        if time.ndim != 1 or len(time) < 3 or not (np.diff(time) > 0.0).all():
-            raise InputError("a log needs three rows or more, of a time that increases")
-        object.__setattr__(self, "time", time)
-        for name in ("position", "velocity", "thrust"):
-            array = np.array(getattr(self, name), dtype=np.float64)
-            if array.shape != (len(time), 2) and (name, array.shape) != ("thrust", (2,)):
-                raise InputError(f"{name} must have shape ({len(time)}, 2); got {array.shape}")
-            full = np.ascontiguousarray(np.broadcast_to(array, (len(time), 2)))
+        """Give each array its full shape."""
+        shape = np.shape(self.position)
+        for name in ("time", "position", "velocity", "thrust"):
+            array = np.asarray(getattr(self, name), dtype=np.float64)
+            full = np.broadcast_to(array, shape[:1] if name == "time" else shape)
             object.__setattr__(self, name, full)
-        if np.isfinite(self.position).sum() < 4:
-            raise InputError("the log has fewer than two positions: nothing can be measured")
 
     @classmethod
     def of_flight(cls, flight: Flight) -> FlightLog:
@@ -129,12 +119,8 @@ class Nodes:
     ) -> Nodes:
         """Return the nodes of every `stride`-th row.
 
-        Args:
-            log: the readings.
-            origin: x, y, t [m, m, s] that positions and times are counted from.
-            longest: the longest step of the motion [s].
-            latency: by which positions are older than velocities [s].
-            stride: of the rows.
+        origin: x, y, t [m, m, s] that positions and times are counted from; longest: the longest
+        step of the motion [s]; latency: by which positions are older than velocities [s].
         """
         rows = np.arange(0, len(log.time), stride)
         clock = log.time[rows] - origin[2]

@@ -73,13 +73,9 @@ def climbed_levels(
 ) -> tuple[Rung, ...]:
     """Rungs of a level by factors of 3, from one that counts as nothing to one that is unlikely.
 
-    Args:
-        legs: at an optimum.
-        optimum: its own rung, of height 0.
-        degrees: of freedom that the level takes there; they grow with its square at most.
-        name: of the level.
-        place: of the log whose level it is; None: of all.
-        least: the degrees of freedom that the highest rung has, if they grow so.
+    legs: at an optimum, whose own rung has height 0; degrees: of freedom that the level takes
+    there, which grow with its square at most; place: of the log whose level it is, None: of all;
+    least: the degrees of freedom that the highest rung has, if they grow so.
     """
     start, top = (0.5 * math.log(own / degrees) for own in (NOTHING, max(least, degrees)))
     rungs = [replace(optimum, height=start) if start >= 0.0 else Rung.of(legs, start, name, place)]
@@ -145,12 +141,9 @@ class Posterior:
     @property
     def innovations(self) -> tuple[Array, ...]:
         """Of each log, standardised (m, 4); NaN where there is no reading, or one left out."""
-        return tuple(
-            np.where(
-                leg.nodes.weights > 0.0, leg.last.scores[:, 8:] if leg.last else np.nan, np.nan
-            )
-            for leg in self.legs
-        )
+        scores = [leg.last.scores[:, 8:] if leg.last else np.nan for leg in self.legs]
+        pairs = zip(self.legs, scores, strict=True)
+        return tuple(np.where(leg.nodes.weights > 0.0, each, np.nan) for leg, each in pairs)
 
     @cached_property
     def whiteness(self) -> tuple[float, ...]:

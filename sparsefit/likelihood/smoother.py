@@ -218,8 +218,7 @@ def climbed(
 def _gated(leg: Leg, smoothed: Smoothed) -> bool:
     """Leave readings out that all others contradict, take in those that they bear out.
 
-    Returns:
-        Whether any weight changed.
+    True where a weight changed.
     """
     nodes: Nodes = leg.nodes
     far = np.abs(smoothed.scores[:, 4:8])
