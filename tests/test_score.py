@@ -45,13 +45,6 @@ def test_no_estimate_has_no_error_and_is_no_hit():
     assert math.isnan(found.mean_velocity.signed_percent)
 
 
-def test_a_perfect_estimate_has_no_error():
-    found = sf.score.score(estimate(10.0, 4.0), FLOW, np.array([4.0]))
-    assert found.hit
-    assert found.length_scale.signed == found.mean_velocity.signed == 0.0
-    assert found.timescale.signed == pytest.approx(0.0, abs=1e-16)
-
-
 TWO = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 4.0), sf.CellularFlow(5.0, 8.0)))
 
 

@@ -61,14 +61,6 @@ def test_each_sample_follows_from_the_last_by_the_slow_reference(flow):
         np.testing.assert_allclose(states[row + 1], step.y[:, -1], atol=2e-12)
 
 
-def test_sampled_velocity_is_smooth():
-    # Between two sampling rates only the sampling differs: step-end error would show here.
-    coarse, fine = fly(sample_rate=100.0), fly(sample_rate=400.0)
-    np.testing.assert_allclose(fine.velocity[::4], coarse.velocity, atol=1e-11)
-    bend = np.diff(coarse.velocity, n=2, axis=0)
-    np.testing.assert_allclose(np.diff(fine.velocity[::4], n=2, axis=0), bend, atol=1e-11)
-
-
 def test_samples_and_starts():
     flight = fly(duration=10.0)
     np.testing.assert_array_equal(flight.time, np.arange(1001) / 100.0)

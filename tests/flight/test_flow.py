@@ -46,14 +46,6 @@ def test_velocity_is_the_turned_gradient_of_the_stream_function(name):
 
 
 @pytest.mark.parametrize("name", FLOWS)
-def test_no_flow_has_a_divergence(name):
-    flow, (x, y), h = FLOWS[name], PLACES, 1e-4
-    east = flow.velocity(x + h, y, 2.0)[:, 0] - flow.velocity(x - h, y, 2.0)[:, 0]
-    north = flow.velocity(x, y + h, 2.0)[:, 1] - flow.velocity(x, y - h, 2.0)[:, 1]
-    np.testing.assert_allclose((east + north) / (2 * h), 0.0, atol=1e-6)
-
-
-@pytest.mark.parametrize("name", FLOWS)
 def test_one_point_on_plain_floats_is_the_velocity_there(name):
     flow = FLOWS[name]
     at = flow.formula(math)

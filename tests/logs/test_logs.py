@@ -65,11 +65,6 @@ def test_logs_of_two_boots_share_a_frame_and_a_clock(tmp_path, flight):
     np.testing.assert_allclose(moved.position, np.add(flight.position, [300, 100]), atol=1e-3)
 
 
-def test_a_clock_beyond_all_calendars_is_no_clock(tmp_path, flight):
-    log = write(tmp_path, "a.ulg", ulog_at(flight, 8.0, 47.0, 2**62))
-    assert read_table(log).epoch is None
-
-
 def test_a_public_log_of_a_vehicle_on_the_ground_is_refused():
     """PX4/pyulog, test/sample_log_small.ulg, licence BSD-3 beside it."""
     with pytest.raises(InputError, match=r"no valid local position in any of 636 samples"):

@@ -6,7 +6,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -148,13 +147,6 @@ def test_uneven_steps_are_smoothed_as_even_ones():
 def test_where_most_stand_out_none_does(noisy):
     dirty, _ = spoilt(noisy, 320, seed=2, size=50.0)
     assert AUTO(dirty).repairs.outliers == 0
-
-
-def test_off_by_a_setting(noisy):
-    dirty, _ = spoilt(noisy, 8, seed=1)
-    assert RAW(dirty).repairs == Repairs()
-    with pytest.raises(InputError, match="repair must be true or false; got 1"):
-        Derivative(repair=1)
 
 
 def test_repairs_in_words():

@@ -167,6 +167,8 @@ def test_unknown_method_names_the_nearest():
         Derivative("centrl")
     with pytest.raises(InputError, match="unknown derivative"):
         Derivative(None)
+    with pytest.raises(InputError, match="repair must be true or false; got 1"):
+        Derivative(repair=1)
 
 
 @pytest.mark.parametrize(
