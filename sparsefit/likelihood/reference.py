@@ -126,10 +126,7 @@ def forward(
     """Filter the nodes from `first` to `end`, and go on to the node at `end` if there is one.
 
     Args:
-        space: the model.
-        nodes: the readings of the log.
-        track: s-bar (m, n).
-        first, end: the block of nodes.
+        track: s-bar (m, n) at the nodes.
         last: the last backward pass, which the columns of the levels need; None: there are none.
         rows: P, delta and V (n, n + 1 + q) at the first node, changed in place; the columns are
             those of the parameters (p,), then of the logarithms of the levels.
@@ -205,7 +202,6 @@ def backward(
     """Run the adjoint through a block, from its last node to its first.
 
     Args:
-        space, nodes, first, end: as of `forward`.
         change: 1, then dtheta of the parameters (1 + p,).
         stored: written by `forward`.
         carried: r and N of the node after the block (1 + n, n): changed in place.

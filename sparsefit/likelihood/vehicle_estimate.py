@@ -38,13 +38,6 @@ class VehicleEstimate:
     vehicle_uncertainty: Uncertainty | None = None
 
 
-NAMES = (
-    *("response_time", "response_time_interval", "drag", "drag_interval"),
-    *("thrust_scale", "thrust_scale_interval"),
-    *("thrust_acceleration", "thrust_acceleration_intervals", "wind", "wind_intervals"),
-)  # the entries of `VehicleEstimate.vehicle_uncertainty`
-
-
 def vehicle_of(posterior: Posterior, believed: PointMassVehicle, flight: int = 0) -> dict[str, Any]:
     """The fields of `VehicleEstimate` that are free in a posterior.
 
@@ -74,5 +67,7 @@ def vehicle_of(posterior: Posterior, believed: PointMassVehicle, flight: int = 0
             errors[name] = posterior.error(x + suffix), posterior.error(y + suffix)
     if not values:
         return values
-    absent = dict.fromkeys(NAMES)  # of what was known there is an entry, without a value
+    absent: dict[str, Any] = {}  # of what was known there is an entry, without a value
+    for name in ("response_time", "drag", "thrust_scale", *pairs):
+        absent |= {name: None, f"{name}_interval{'s' * (name in pairs)}": None}
     return values | {"vehicle_uncertainty": Uncertainty(absent | Uncertainty.of(values, errors))}
