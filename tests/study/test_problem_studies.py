@@ -58,7 +58,8 @@ def test_deeds_of_solvers_are_their_own_cases(tmp_path):
     solvers = "".join(f'[[solvers]]\nname = "{name}"\nfile = "deeds.py"\n' for name in DEEDS)
     names = ", ".join(f'"{name}"' for name in DEEDS)
     lasso = f'[[backends]]\nname = "lasso"\nsolver = ["homotopy", {names}]\n'
-    text = HEAD.replace('"problems"', '"solvers"') + "[run]\nmax_memory = 3000\n"
+    text = HEAD.replace('"problems"', '"solvers"').replace("seconds = 0.5", "seconds = 9.0")
+    text += "[run]\nmax_memory = 3000\n"
     study = load(tmp_path, text + SMALL + "count = 2\n" + solvers + lasso)
     began = time.monotonic()
     study.run()
