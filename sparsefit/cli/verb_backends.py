@@ -65,8 +65,16 @@ def run_list(args: argparse.Namespace) -> Answer:
     solvers = installed_solvers()
     others = [Recipe(name) for name in solver_names()]
     public = [{"name": o.name, "form": o.form, "installed": not o.missing} for o in others]
-    lines = ["\n\n".join(_entry(record) for record in records)]
-    lines.append(f"\nsolvers that cvxpy finds here: {', '.join(solvers)}")
+    lines = list[str]()
+    for record in records:
+        about = {"missing": "missing", "error": "broken"}
+        words = [f"{word}: {record[key]}" for key, word in about.items() if key in record]
+        if not words:
+            settings = typed(record["settings"]) or "none"
+            words = [record["summary"], f"certificate: {record['certificate']}",
+                     f"settings: {settings}"]  # fmt: skip
+        lines += [record["name"], *(f"  {line}" for line in words), ""]
+    lines.append(f"solvers that cvxpy finds here: {', '.join(solvers)}")
     lines.append(f"other solvers: {', '.join(o.name for o in others if not o.missing)}")
     lines += [f"  missing: {other.missing}" for other in others if other.missing]
     every = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
@@ -90,16 +98,6 @@ def _record(name: str) -> dict[str, Any]:
         "certificate": loaded.certificate_kind,
         "settings": settings,
     }
-
-
-def _entry(record: dict[str, Any]) -> str:
-    for key, word in (("missing", "missing"), ("error", "broken")):
-        if key in record:
-            return f"{record['name']}\n  {word}: {record[key]}"
-    words = (
-        f"certificate: {record['certificate']}\n  settings: {typed(record['settings']) or 'none'}"
-    )
-    return f"{record['name']}\n  {record['summary']}\n  {words}"
 
 
 def run_check(args: argparse.Namespace) -> Answer:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +11,11 @@ from sparsefit.cli.estimator_file import ALL, estimator_of
 from sparsefit.cli.options import FORCE, JSON, Answer, Option, Verbs, declare, number, verb
 from sparsefit.cli.terminal import check_output
 from sparsefit.errors import InputError, one_line, told_with
+from sparsefit.whole_file import write_whole
 
 if TYPE_CHECKING:
     from sparsefit.cli.printed import ReadLog
-    from sparsefit.estimator import Estimate, Estimator
+    from sparsefit.estimator import Estimator
     from sparsefit.flight import Flight
     from sparsefit.logs.flight_table import FlightTable
 
@@ -85,8 +84,13 @@ def run(args: argparse.Namespace) -> Answer:
     logs = _logs(args, estimator)
     flights = [log.flight for log in logs]
     estimate = estimator.estimate(flights[0] if len(flights) == 1 else flights)
-    if args.plot is not None:
-        _draw(args.plot, args.flight, estimator, flights, estimate)
+    if args.plot is not None:  # all tracks, and the residual of the first flight
+        from sparsefit.plot import draw_estimate, encoded
+
+        more = f" and {len(flights) - 1} more" if len(flights) > 1 else ""
+        title = f"{one_line(args.flight[0])}{more}"
+        figure = draw_estimate(estimate, estimator, flights, title)
+        write_whole(args.plot, encoded(figure, Path(args.plot).suffix.lower()))
     records = [log.record() for log in logs]
     read = {"log": records[0]} if len(logs) == 1 else {"logs": records}
     said = lines(logs, estimate, estimator.library.unknown)
@@ -150,22 +154,3 @@ def _flight(
         begin, end = (getattr(args, name) for name in ("begin", "end"))
         late = flight.time >= (flight.time[0] if begin is None else begin)
         return flight.rows(late & (flight.time <= (flight.time[-1] if end is None else end)))
-
-
-def _draw(
-    path: str,
-    names: Sequence[str],
-    estimator: Estimator,
-    flights: Sequence[Flight],
-    estimate: Estimate,
-) -> None:
-    """Write the picture: all tracks, and the residual of the first flight."""
-    from sparsefit.plot import draw_estimate, encoded
-    from sparsefit.whole_file import write_whole
-
-    more = f" and {len(flights) - 1} more" if len(flights) > 1 else ""
-    with warnings.catch_warnings():  # a name in letters that the font has not is drawn as boxes
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)
-        figure = draw_estimate(estimate, estimator, flights, f"{one_line(names[0])}{more}")
-        content = encoded(figure, Path(path).suffix.lower())
-    write_whole(path, content)

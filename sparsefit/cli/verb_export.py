@@ -10,6 +10,7 @@ from sparsefit.cli.estimator_file import read_estimator
 from sparsefit.cli.options import Answer, Option, Verbs, declare, verb
 from sparsefit.cli.terminal import check_folder
 from sparsefit.errors import one_line
+from sparsefit.whole_file import write_whole
 
 EXAMPLE = """\
   sparsefit export estimator.json --c flow
@@ -34,7 +35,6 @@ def run(args: argparse.Namespace) -> Answer:
     """Write an estimator as C99: no heap, bounded work, with a test that replays a flight."""
     from sparsefit.logs import read_flight
     from sparsefit.onboard.c_source import package
-    from sparsefit.whole_file import write_whole
 
     folder = check_folder(args.folder, force=args.force)
     estimator = read_estimator(args.estimator)

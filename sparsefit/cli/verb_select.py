@@ -25,9 +25,9 @@ from sparsefit.cli.terminal import Progress, check_output
 from sparsefit.cli.verb_study import STUDY, stored
 from sparsefit.study.keys import SelectionRule
 from sparsefit.study.schema import names_of, sentences
+from sparsefit.whole_file import write_whole
 
 if TYPE_CHECKING:
-    from sparsefit.study.selection import Check, Selection
     from sparsefit.study.study import Study
 
 EXAMPLE = """\
@@ -68,75 +68,53 @@ def run(args: argparse.Namespace) -> Answer:
     """Choose one estimator from a finished study, and write it and the evidence."""
     check_output(args.output, force=args.force)
     from sparsefit.study import evidence
-    from sparsefit.study.selection import select
-    from sparsefit.whole_file import write_whole
+    from sparsefit.study.selection import check, select
 
     study, _ = stored(args, whole=True)
+    args.stopped = "stopped; run the same command again to continue"
     given = {name: getattr(args, name) for name in names_of(SelectionRule)}
     options = {name: value for name, value in given.items() if value is not None}
-    rule = study.definition.selection.changed(**options)
-    flown, refused = study, {}
-    if rule.on_board:
-        flown, refused = _flown(study, args), study.refusals
-    latencies = {}
-    if rule.latency_flights and study.kind == "flights":
+    rule, of_flights = study.definition.selection.changed(**options), study.kind == "flights"
+    flown, refused, latencies = study, {}, {}
+    if rule.on_board:  # the candidates that can fly; cases that are there stay
+        flown, refused = _ran(study.flown(), args), study.refusals
+    if rule.latency_flights and of_flights:
         untimed = rule.changed(max_latency_p99=None, max_memory=None)
-        latencies = flown.latency(
-            [scored.candidate for scored in select(flown, untimed, latencies={}).passing],
-            rule.latency_flights,
-            again=args.measure_again,
-            progress=_announce,
-        )
+        trials = [scored.candidate for scored in select(flown, untimed, latencies={}).passing]
+        flights, again = rule.latency_flights, args.measure_again
+        latencies = flown.latency(trials, flights, again=again, progress=_announce)
     selection = select(flown, rule, latencies=latencies, refusals=refused)
-    checked = _check(flown, selection, args)
+    chosen, checked = selection.chosen, None
+    if chosen is not None and rule.check and of_flights:
+        fresh = _ran(flown.variant(selection.contenders, rule.check), args)
+        checked = check(selection, fresh.cases)
+    path = evidence.write_selection(study, selection, check=checked)[-1]
+    record = evidence.record(selection, checked) | {"evidence": str(path)}
     usage = f"use it: sparsefit estimate FLIGHT --estimator {args.output}"
-    if selection.chosen is None:
+    if chosen is None:
         usage = f"nothing was chosen, and {args.output} is not written"
-    elif study.kind == "problems":
-        usage = f"use it: {_call(study, selection.chosen.candidate)}"
-    else:
-        estimator = json.loads(study.estimator(selection.chosen.candidate).to_json())
+    elif of_flights:
+        estimator = json.loads(study.estimator(chosen.candidate).to_json())
         estimator["provenance"] = evidence.provenance(study, selection)
         text = json.dumps(estimator, indent=2, allow_nan=False) + "\n"
         write_whole(args.output, text.encode())
-    path = evidence.write_selection(study, selection, check=checked)[-1]
-    record = evidence.record(selection, checked) | {"evidence": str(path)}
-    if selection.chosen is not None and study.kind == "flights":
         record |= {"output": args.output}
+    else:
+        cell, cells = study.cells_of(chosen.candidate)[0], study.experiment.cells()
+        settings = json.loads(cells["settings"][cell])
+        words = "".join(f", {name}={value!r}" for name, value in settings.items())
+        usage = f"use it: sf.path(problem, {cells['backend'][cell]!r}{words})"
     lines = (f"- {line}" for line in evidence.lines(selection, checked))
-    said = [evidence.headline(selection), *lines]
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
-    return Answer(record, [*said, closing, usage], int(selection.chosen is None))
+    said = [evidence.headline(selection), *lines, closing, usage]
+    return Answer(record, said, int(chosen is None))
 
 
-def _call(study: Study, candidate: str) -> str:
-    """The call from Python of a candidate of a study of problems."""
-    cell, cells = study.cells_of(candidate)[0], study.experiment.cells()
-    settings = json.loads(cells["settings"][cell])
-    words = "".join(f", {name}={value!r}" for name, value in settings.items())
-    return f"sf.path(problem, {cells['backend'][cell]!r}{words})"
-
-
-def _flown(study: Study, args: argparse.Namespace) -> Study:
-    """The candidates that can fly, on the flights of the study; cases that are there stay."""
-    args.stopped = "stopped; run the same command again to continue"
-    flown = study.flown()
+def _ran(study: Study, args: argparse.Namespace) -> Study:
+    """A part of a study, run; cases that are there are not run again."""
     with Progress() as progress:
-        flown.run(processes=args.processes, progress=progress)
-    return flown
-
-
-def _check(study: Study, selection: Selection, args: argparse.Namespace) -> Check | None:
-    """The contenders on flights of fresh seeds; cases that are there are not run again."""
-    from sparsefit.study.selection import check
-
-    if selection.chosen is None or not selection.rule.check or study.kind != "flights":
-        return None
-    args.stopped = "stopped; run the same command again to continue"
-    fresh = study.variant(selection.contenders, selection.rule.check)
-    with Progress() as progress:
-        fresh.run(processes=args.processes, progress=progress)
-    return check(selection, fresh.cases)
+        study.run(processes=args.processes, progress=progress)
+    return study
 
 
 def _announce(done: int, planned: int, left: float | None) -> None:
