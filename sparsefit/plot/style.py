@@ -150,9 +150,12 @@ def labels(names: Sequence[str], length: int) -> dict[str, str]:
     shared = set(words[0]).intersection(*map(set, words[1:])) if len(words) > 1 else set()
     if not any(len(name) > length for name in names):
         shared.clear()
+    differ = ["".join(part for part in parts if part not in shared) for parts in words]
+    if any(re.fullmatch(r"[^a-zA-Z]*\s[^a-zA-Z]*\S", text.strip(" ,:;")) for text in differ):
+        differ = ["".join(parts) for parts in words]  # of several numbers nobody knows which
     short: dict[str, str] = {}
-    for name, parts in zip(names, words, strict=True):
-        text = "".join(part for part in parts if part not in shared).strip(" ,:;") or name
+    for name, rest in zip(names, differ, strict=True):
+        text = rest.strip(" ,:;") or name
         if len(text) > 3 * length - 4:
             text = f"{text[: 2 * length - 4]} … {text[4 - length :]}"
         short[name] = wrapped(text, length)
@@ -160,10 +163,9 @@ def labels(names: Sequence[str], length: int) -> dict[str, str]:
 
 
 def wrapped(text: str, width: int) -> str:
-    """Return text on lines of at most `width` letters."""
-    return "\n".join(
-        textwrap.fill(line, width, break_on_hyphens=False) for line in text.split("\n")
-    )
+    """Return text on lines of at most `width` letters; a pair, `0 / 0`, stands on one."""
+    lines = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}").split("\n")
+    return "\n".join(textwrap.fill(line, width, break_on_hyphens=False) for line in lines)
 
 
 def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:

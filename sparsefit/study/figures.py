@@ -1,15 +1,15 @@
 """The figures of a study: three kinds of picture over one frame of cases, in panels by its columns.
 
 `lines`: measures along a factor; `ecdf`: the share of cases with at most so much; `scatter`:
-estimated against true. A legend names what is drawn:
-curves that coincide are one, and where there are more than a legend takes, the rest are grey. A
-picture without a mark is a sentence.
+estimated against true. A legend names what is drawn: curves that coincide are one, and where there
+are more than a legend takes, the rest are grey. A picture without a mark is a sentence.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -49,29 +49,36 @@ class Picture(NamedTuple):
     caption: str
 
 
-def _rows(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    """Return the words and the cases of each row of panels: the levels of `rows`."""
-    told_apart = [entry.lines, *entry.rows, *filter(None, [entry.columns])]
-    entries.check_columns(cases, told_apart, "the figure")
-    before = [f"{factor_words(name)} " if "." in name else "" for name in entry.rows]
-    groups = list(grouped(cases, entry.rows))[:PANELS]
-    return [(", ".join(map("".join, zip(before, map(level_text, key), strict=True))),
-             cases.iloc[places]) for key, places in groups]  # fmt: skip
+def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArray]]]:
+    """Return the words of row and column, and the places of the cases, of each panel.
+
+    A row of panels is a group of `rows`, a column a level of `columns`.
+    """
+    names = [entry.lines, *entry.rows, *filter(None, [entry.columns])]
+    entries.check_columns(cases, names, "the figure")
+
+    def words(factor: str, level: Any) -> str:
+        text = level_text(level)
+        if "." not in factor:
+            return text
+        unit = UNIT_OF.get(factor.rpartition(".")[2], "")
+        return f"{factor_words(factor)} {text} {unit}".rstrip()
+
+    columns = [("", np.arange(len(cases)))]
+    if entry.columns:
+        levels = entries.levels_of(cases, entry.columns)
+        columns = [(words(entry.columns, level), np.flatnonzero(levels == level))
+                   for level in levels.cat.categories]  # fmt: skip
+    rows = [(", ".join(map(words, entry.rows, key)), own)
+            for key, own in grouped(cases, entry.rows)]  # fmt: skip
+    return [[(row, title, np.intersect1d(own, places)) for title, places in columns]
+            for row, own in rows[:PANELS]]  # fmt: skip
 
 
-def _columns(entry: Entry, cases: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
-    """Return the words and the cases of each column of panels: the levels of `columns`."""
-    if not entry.columns:
-        return [("", cases)]
-    levels, words = entries.levels_of(cases, entry.columns), factor_words(entry.columns)
-    before = "" if entry.columns == "accuracy" else f"{words} "
-    return [(f"{before}{level}", cases[levels == level]) for level in levels.cat.categories]
-
-
-def _lines(entry: Entry, cases: pd.DataFrame) -> Iterator[tuple[str, IntArray]]:
-    """Give the name of each line, and the places of its cases."""
-    for (name,), places in grouped(cases, [entry.lines]):
-        yield str(name), places
+def _curves(entry: Entry, cases: pd.DataFrame, places: IntArray) -> list[tuple[str, IntArray]]:
+    """Return the name of each line of a panel, and the places of its cases."""
+    here = cases.iloc[places]
+    return [(str(name), places[at]) for (name,), at in grouped(here, [entry.lines])]
 
 
 def numeric_factors(cases: pd.DataFrame) -> list[str]:
@@ -89,19 +96,16 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     """
     from pandas.api.types import is_numeric_dtype
 
-    has_number = [~np.isnan(each.values(cases)) for each in entry.measures]
     axes_of = [entry.along] if entry.along else numeric_factors(cases)
     if not axes_of:
         raise InputError("along = …: no number is swept; name a column, such as condition")
     entries.check_columns(cases, axes_of, "the figure")
     if entry.along == "condition" and cases["condition"].nunique() < 2:
         entry = replace(entry, lines="condition")
-    whole, seen, grid = cases, np.any(has_number, axis=0), list[list[Panel]]()
-    cases = whole[seen].reset_index(drop=True)
+    seen = np.any([~np.isnan(each.values(cases)) for each in entry.measures], axis=0)
+    whole, cases, grid = cases, cases[seen], list[list[Panel]]()
     for along in axes_of:
-        level_of = entries.levels_of(whole, along)[
-            np.any(has_number, axis=0)
-        ].cat.remove_unused_categories()
+        level_of = entries.levels_of(whole, along)[seen].cat.remove_unused_categories()
         codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
         is_number = is_numeric_dtype(cases[along])
         shown = np.array(levels, dtype=float) if is_number else list(levels)
@@ -112,17 +116,16 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
             summary = "" if each.summary in ("share", "number") else f"{each.summary} "
             words = with_unit(f"{summary}{each.heading or each.words}", each.unit)
             marks = [*entry.limits, *([1.0] if each.name.endswith("efficiency") else [])]
-            for level, part in _rows(entry, cases):
+            for row in _grid(entry, cases):
                 grid.append([
                     Panel(
                         [_along(name, each, values[at], codes[at], x)
-                         for name, places in _lines(entry, here)
-                         for at in (here.index.to_numpy()[places],)],
-                        x_label, "\n".join(wrapped(text, 24) for text in (words, level) if text),
+                         for name, at in _curves(entry, cases, places)],
+                        x_label, "\n".join(wrapped(text, 26) for text in (words, level) if text),
                         title, {} if "." in along else {"ls": ""}, levels=shown,
                         marks=[("y", mark) for mark in marks], is_share=each.summary == "share",
                     )
-                    for title, here in _columns(entry, part)
+                    for level, title, places in row
                 ])  # fmt: skip
     grid = grid[:PANELS]
     means = {curve.name: float(np.nanmean(curve.y)) for row in grid[:1] for curve in row[0].curves
@@ -148,40 +151,46 @@ def _along(name: str, each: Measure, values: Array, codes: IntArray, x: Array) -
 def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
     """Draw the share of cases with at most so much of each measure, failures in the share."""
     grid = [
-        [_steps(entry, each, level, title, here)
-         for title, here in _columns(entry, part) for each in entry.measures]
-        for level, part in _rows(entry, cases)
+        [_steps(entry, each, cases.iloc[places], level, title)
+         for level, title, places in row for each in entry.measures]
+        for row in _grid(entry, cases)
     ]  # fmt: skip
     first = [curve for curve in grid[0][0].curves if curve.y[-2] >= 50.0]
     medians = {curve.name: float(curve.x[np.searchsorted(curve.y, 50.0)]) for curve in first}
     return drawn(grid, 3.3 if len(grid) == 1 else 1.0 + 2.0 * len(grid), ranks or medians)
 
 
-def _steps(entry: Entry, each: Measure, level: str, title: str, cases: pd.DataFrame) -> Panel:
-    """Return the sorted sizes of every line with the share of planned cases up to each."""
+def _steps(entry: Entry, each: Measure, cases: pd.DataFrame, level: str, title: str) -> Panel:
+    """Return the sorted sizes of every line with the share of planned cases up to each.
+
+    The axis ends where a tenth of the sizes lies beyond it.
+    """
     values, planned, curves = np.abs(each.read(cases)), ~measures.in_still_air(cases), list[Curve]()
     least, finite = each.least or 1e-300, values[np.isfinite(values)]
     low, high = np.quantile(finite, (0.01, 0.9)).tolist() if finite.size else (1.0, 1.0)
-    low = max(low, least)
+    low, log = max(low, least), "x"
     ends = low / 1.5, max(1.5 * high, 10.0 * low)
     if each.name == "ratio":  # from the fastest on
         ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
-    for name, places in _lines(entry, cases):
-        here = values[places[planned[places]]]
-        sizes = np.sort(here[np.isfinite(here)])
-        share = 100.0 * np.arange(1, sizes.size + 1) / max(len(here), 1)
-        if sizes.size > 200:  # an eye sees no more
-            at = np.linspace(0, sizes.size - 1, 200).astype(int)
-            sizes, share = sizes[at], share[at]
-        if sizes.size:
-            start, end = min(ends[0], float(sizes[0])), max(ends[1], float(sizes[-1]))
-            x = np.maximum([start, *sizes, end], least)
+    elif finite.size and finite.max() <= LOG_RANGE * finite.min():
+        room = 0.05 * float(np.ptp(finite)) or 0.1 * high
+        ends, log = (float(finite.min()) - room, float(finite.max()) + room), ""
+    for name, places in _curves(entry, cases, np.flatnonzero(planned)):
+        here = np.sort(values[places])
+        here = here[np.isfinite(here)]
+        share = 100.0 * np.arange(1, here.size + 1) / len(places)
+        if here.size > 200:  # an eye sees no more
+            at = np.linspace(0, here.size - 1, 200).astype(int)
+            here, share = here[at], share[at]
+        if here.size:
+            start, end = min(ends[0], float(here[0])), max(ends[1], float(here[-1]))
+            x = np.maximum([start, *here, end], least)
             curves.append(Curve(name, x, np.array([0.0, *share, share[-1]])))
     kind = "problems" if "ratio" in cases else "cases"
     beside = f"{wrapped(level, 26)}\n\nshare of {kind} [%]".strip()
-    words = with_unit(wrapped(each.words, 34), each.unit)
-    return Panel(curves, words, beside, title, {"drawstyle": "steps-post", "marker": ""}, ends,
-                 (-2.0, 102.0), "x", marks=[("x", limit) for limit in entry.limits])  # fmt: skip
+    return Panel(curves, with_unit(each.words, each.unit), beside, title,
+                 {"drawstyle": "steps-post", "marker": ""}, ends, (-2.0, 102.0), log,
+                 marks=[("x", limit) for limit in entry.limits])  # fmt: skip
 
 
 def best_titles(cases: pd.DataFrame) -> list[str]:
@@ -210,7 +219,7 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
          for at, name in enumerate(PARAMETERS)]
         for title in (best_titles(flown) if answered(flown).any() else ())
     ]  # fmt: skip
-    figure = drawn(grid, 0.9 + 2.15 * len(grid)) if grid else None
+    figure = drawn(grid, 0.5 + 2.0 * len(grid)) if grid else None
     for axes in figure.axes if figure else ():
         axes.plot([0, 1], [0, 1], color=GREY, lw=0.8, zorder=1, transform=axes.transAxes)
         axes.set_box_aspect(1.0)
@@ -229,7 +238,7 @@ def _points(cases: pd.DataFrame, name: str, beside: str) -> Panel:
         ends = max(ends[0], 0.0), ends[1]
     usable = answered(cases)
     counts = {"above": usable & (estimate > ends[1]), "below": usable & (estimate < ends[0]),
-              "without an answer": ~usable}  # fmt: skip
+              "no answer": ~usable}  # fmt: skip
     words = ", ".join(f"{mask.sum()} {text}" for text, mask in counts.items() if mask.any())
     estimate = np.where(usable, np.clip(estimate, *ends), np.nan)
     curves = [Curve(str(key), true[places], estimate[places])
@@ -315,6 +324,10 @@ def _caption(entry: Entry) -> str:
              each.phrase + f", {each.convention}" * (each.miss is not None)
              for each in entry.measures]  # fmt: skip
     shown = "; ".join(dict.fromkeys(words))
+    alike = {re.sub(r"\b(U0|L_w|τ_w)\b", "{}", text) for text in words}
+    if len(words) > 1 and len(alike) == 1:  # of each parameter
+        symbols = [symbol for text in words for symbol in SYMBOLS.values() if symbol in text]
+        shown = alike.pop().format(f"{', '.join(symbols[:-1])} and {symbols[-1]}")
     if entry.compare == "ecdf":
         shown = f"Share of planned cases, failures among them, with at most so much: {shown}"
     return " ".join(map(sentence, (entry.title or shown, *entry.notes)))

@@ -10,17 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.plot.style import (
-    COLOURS,
-    GREY,
-    MARKERS,
-    STYLES,
-    labels,
-    legend,
-    level_axis,
-    logarithmic,
-    panels,
-)
+from sparsefit.plot import style
+from sparsefit.plot.style import COLOURS, GREY, MARKERS, STYLES
 from sparsefit.study.resampling import TINY
 
 if TYPE_CHECKING:
@@ -28,8 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Ranks: TypeAlias = Mapping[str, float]  # a legend names the curves of the least
-NAMED_CURVES = 10  # curves that a legend names; the rest are grey
+NAMED_CURVES = 10  # curves that a legend names; the rest are grey, but for a single one
 LOG_RANGE = 8.0  # largest over smallest, from which an axis is logarithmic
+PAGE = 100  # letters along a picture
 
 
 class Curve(NamedTuple):
@@ -42,9 +34,9 @@ class Curve(NamedTuple):
 
     def coincides(self, other: Curve) -> bool:
         """Whether another curve has the same points."""
-        pairs = ((self.x, other.x), (self.y, other.y))
         return self.x.shape == other.x.shape and all(
-            np.allclose(*pair, rtol=1e-3, equal_nan=True) for pair in pairs
+            np.allclose(*pair, rtol=1e-3, equal_nan=True)
+            for pair in ((self.x, other.x), (self.y, other.y))
         )
 
 
@@ -75,51 +67,48 @@ class Panel:
         """The names of x = 0, 1, ...; empty where x has numbers."""
         return [] if isinstance(self.levels, np.ndarray) else list(self.levels)
 
-    @property
-    def bars(self) -> list[Curve]:
-        """The curves whose intervals are drawn: all by name, few along a number."""
-        crowded = not self.names and len(self.curves) > 4
-        return [] if crowded else [curve for curve in self.curves if curve.bars is not None]
+    def bars_of(self, curve: Curve) -> Array | None:
+        """Return the intervals of a curve that are drawn: along names, or of few along a number."""
+        return curve.bars if self.names or len(self.curves) <= 4 else None
 
     @property
     def heights(self) -> Array:
         """All finite heights of the curves, of the intervals drawn, and of the marks of shares."""
+        bars = [self.bars_of(curve) for curve in self.curves]
         parts = [curve.y for curve in self.curves]
-        parts += [curve.bars.ravel() for curve in self.bars if curve.bars is not None]
+        parts += [each.ravel() for each in bars if each is not None]
         parts += [np.array([value for _, value in self.marks if self.is_share])]
         every = np.concatenate(parts)
         return np.asarray(every[np.isfinite(every)])
 
 
-def _named(panels_: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
+def _named(panels: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
     """Return what a legend calls each curve, the least rank first; None of those in grey.
 
     Curves without a point are taken out of the panels, and so are those that coincide with another
     in all of them; where more are there than a legend takes, it names those of the least rank.
     """
     by_name: dict[str, dict[int, Curve]] = {}
-    for place, panel in enumerate(panels_):
+    for place, panel in enumerate(panels):
         for curve in panel.curves:
             by_name.setdefault(curve.name, {})[place] = curve
     twins, names = Counter[str](), list[str]()
     for name, mine in by_name.items():
-        if not any(np.isfinite(curve.y).any() for curve in mine.values()):
-            continue
-        alike = (
-            other for other in names
-            if by_name[other].keys() == mine.keys()
-            and all(by_name[other][at].coincides(mine[at]) for at in mine)
-        )  # fmt: skip
-        twin = next(alike, name)
-        twins[twin] += 1
-        names += [name] if twin == name else []
+        if any(np.isfinite(curve.y).any() for curve in mine.values()):
+            alike = (
+                other for other in names if by_name[other].keys() == mine.keys()
+                and all(by_name[other][at].coincides(mine[at]) for at in mine)
+            )  # fmt: skip
+            twin = next(alike, name)
+            twins[twin] += 1
+            names += [name] if twin == name else []
     if len(names) > NAMED_CURVES or ranks:
         names.sort(key=lambda name: ranks.get(name, np.inf))
-    for panel in panels_:
+    for panel in panels:
         curves = {curve.name: curve for curve in panel.curves}
         panel.curves = [curves[name] for name in names if name in curves]
-    more = {name: f" and {twins[name] - 1} alike" if twins[name] > 1 else "" for name in names}
-    short = labels(names[:NAMED_CURVES], 52)
+    short = style.labels(names if len(names) == NAMED_CURVES + 1 else names[:NAMED_CURVES], 52)
+    more = {name: f" and {count - 1} alike" if count > 1 else "" for name, count in twins.items()}
     return {name: f"{short[name]}{more[name]}" if name in short else None for name in names}
 
 
@@ -132,32 +121,32 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
     words = _named([panel for row in grid for panel in row], ranks or {})
     if not words:
         return None
-    figure, axes_grid = panels(len(grid), len(grid[0]), height=height)
+    figure, axes_grid = style.panels(len(grid), len(grid[0]), height=height)
     for place, (row, axes_row) in enumerate(zip(grid, axes_grid, strict=True)):
         heights = np.concatenate([panel.heights for panel in row])
         below = grid[place + 1] if place + 1 < len(grid) else None
         for at, (panel, axes) in enumerate(zip(row, axes_row, strict=True)):
             _draw(axes, panel, words)
-            _scale(axes, panel, heights)
+            _scale(axes, panel, heights, len(row))
             is_last = below is None or below[at].x_label != panel.x_label
             is_first = not at or row[at - 1].y_label != panel.y_label
-            axes.set_xlabel(panel.x_label if is_last else "")
+            axes.set_xlabel(style.wrapped(panel.x_label, PAGE // len(row)) if is_last else "")
             axes.set_ylabel(panel.y_label if is_first else "")
             is_alike = is_first or row[at - 1].y_range != panel.y_range
             axes.tick_params(labelbottom=is_last or panel.x_range is not None, labelleft=is_alike)
             is_under = place and grid[place - 1][at].title == panel.title
             axes.set_title("" if is_under else panel.title)
-    legend(figure, [axes for row in axes_grid for axes in row])
+    style.legend(figure, [axes for row in axes_grid for axes in row])
     return figure
 
 
 def _draw(axes: Axes, panel: Panel, words: Mapping[str, str | None]) -> None:
     """Draw the curves of a panel: those that a legend names by colour, style and marker."""
-    names, count, with_bars = list(words), len(panel.curves), panel.bars
+    names, count = list(words), len(panel.curves)
     others = [curve for curve in panel.curves if words[curve.name] is None]
     for order, curve in enumerate(panel.curves[: count - len(others)]):
-        place, x = names.index(curve.name), curve.x
-        colour, turn = place % len(COLOURS), place // len(COLOURS)
+        place, x, bars = names.index(curve.name), curve.x, panel.bars_of(curve)
+        turn, colour = divmod(place, len(COLOURS))
         look: dict[str, Any] = {
             "color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
             "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)], **panel.style,
@@ -166,8 +155,8 @@ def _draw(axes: Axes, panel: Panel, words: Mapping[str, str | None]) -> None:
         if look["ls"] == "":
             look["marker"] = look["marker"] or "."
             x = x + 0.5 * ((order + 0.5) / count - 0.5) if panel.names else x  # side by side
-        if curve.bars is not None and any(curve is each for each in with_bars):
-            axes.vlines(x, *curve.bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
+        if bars is not None:
+            axes.vlines(x, *bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
         axes.plot(x, curve.y, **look, label=words[curve.name])
     if others:  # one line of all, in pieces
         gap, look = np.array([np.nan]), {"ls": "-", **panel.style}
@@ -184,16 +173,18 @@ def _draw(axes: Axes, panel: Panel, words: Mapping[str, str | None]) -> None:
         line(value, color=GREY, lw=0.8, ls="--", zorder=1)
 
 
-def _scale(axes: Axes, panel: Panel, heights: Array) -> None:
+def _scale(axes: Axes, panel: Panel, heights: Array, columns: int) -> None:
     """Set ends, scales and numbers of the axes; `heights` are those of the whole row."""
     if panel.names:
-        short = list(labels(panel.names, 28).values())
-        many = len(short) > 4 or any(len(text) > 14 for text in short)
+        short = list(style.labels(panel.names, 34).values())
+        is_long = sum(map(len, short)) + 2 * len(short) > PAGE // columns
         slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
-        axes.set_xticks(range(len(short)), short, **(slant if many else {}))
+        axes.set_xticks(range(len(short)), short, **(slant if is_long else {}))
+        if panel.style.get("ls") == "":
+            axes.set_xlim(-0.5, len(short) - 0.5)
         axes.grid(False, axis="x")
     elif len(panel.levels):
-        level_axis(axes, np.asarray(panel.levels, dtype=float))
+        style.level_axis(axes, np.asarray(panel.levels, dtype=float))
     ends, log = panel.y_range, panel.log
     if ends is None and heights.size:
         low, high = float(heights.min()), float(heights.max())
@@ -208,6 +199,6 @@ def _scale(axes: Axes, panel: Panel, heights: Array) -> None:
     for axis, limits in (("x", panel.x_range), ("y", ends)):
         if axis in log:
             axes.set(**{f"{axis}scale": "log"})
-            logarithmic(getattr(axes, f"{axis}axis"), *(limits or axes.axis()[:2]))
+            style.logarithmic(getattr(axes, f"{axis}axis"), *(limits or axes.axis()[:2]))
         if limits:
             axes.set(**{f"{axis}lim": limits})

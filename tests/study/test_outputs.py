@@ -300,7 +300,7 @@ class TestSolvers:
     cases.attrs["limit"] = 9.0
 
     def test_times_are_the_least_that_reach_an_accuracy(self):
-        strict, loose = (dict(solver_times.times_to(self.cases, at)) for at in (1e-8, 1e-4))
+        strict, loose = (solver_times.times_to(self.cases, at) for at in (1e-8, 1e-4))
         assert list(strict["lasso"]) == ["fast", "slow", "lost"]
         assert strict["lasso"].loc["p2"].tolist() == pytest.approx([0.03, 0.12, math.inf])
         assert loose["lasso"].loc["p2"].tolist() == pytest.approx([0.03, 0.06, math.inf])
