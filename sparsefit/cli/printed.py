@@ -9,11 +9,17 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sparsefit.cli.terminal import coloured, duration, proof, typed
 from sparsefit.errors import one_line
-from sparsefit.estimator.estimate import FINEST, PARAMETERS, decimals
+from sparsefit.estimator.estimate import (
+    FINEST,
+    PARAMETERS,
+    FlightEstimate,
+    LogEstimate,
+    decimals,
+)
 from sparsefit.flight.record import FRAMES
 
 if TYPE_CHECKING:
-    from sparsefit.estimator.estimate import Estimate, FlightEstimate
+    from sparsefit.estimator.estimate import Estimate
     from sparsefit.flight import Flight
     from sparsefit.logs.checks import LogQuality
 
@@ -60,7 +66,7 @@ class ReadLog:
         values: dict[str, Any] = finite_or_none(asdict(self.quality))
         return values | {"read_as": list(self.notes)}
 
-    def rows(self, own: Estimate | FlightEstimate, unknown: Sequence[str]) -> Rows:
+    def rows(self, own: LogEstimate, unknown: Sequence[str]) -> Rows:
         """Rows of what was flown, logged and mended; own: what is estimated of this flight."""
         flight, frame = self.flight, self.quality.frame
         words = f"{flight.samples} samples over {flight.duration:g} s"
@@ -89,27 +95,21 @@ class ReadLog:
 def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -> list[str]:
     """The lines of the answer: flights and vehicles, the parameters, the status and its proof.
 
-    Of a vehicle only what was not ``unknown`` is told as given.
+    Of a vehicle only what was not ``unknown`` is told as given; of several flights what is
+    estimated of each, by number.
     """
-    rows = [*_logs(logs, estimate, unknown), ("", ""), *_answer(estimate)]
-    return [f"{label:<20}  {value}".rstrip() for label, value in rows]
+    rows: list[tuple[str, str]] = []
+    for number, (log, own) in enumerate(zip(logs, estimate.flights or [estimate], strict=True), 1):
+        (label, first), *others = log.rows(own, unknown)
+        rows += [(f"flight {number}" if estimate.flights else label, first), *others]
+        if isinstance(own, FlightEstimate):
+            counts = f"so that a sample counts for {own.noise**-2:.2g}"
+            rows += [("noise", f"{own.noise:.3g} of the mean, {counts}"), *_vehicle(own)]
+        rows.append(("", ""))
+    return [f"{label:<20}  {value}".rstrip() for label, value in (*rows, *_answer(estimate))]
 
 
-def _logs(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -> Rows:
-    """Rows of the flight, or of several by number with what is estimated of each."""
-    if not estimate.flights:
-        yield from logs[0].rows(estimate, unknown)
-        return
-    for number, (log, own) in enumerate(zip(logs, estimate.flights, strict=True), 1):
-        (_, first), *others = log.rows(own, unknown)
-        yield from ([("", "")] if number > 1 else [])
-        yield from ((f"flight {number}", first), *others)
-        counts = f"so that a sample counts for {own.noise**-2:.2g}"
-        yield "noise", f"{own.noise:.3g} of the mean, {counts}"
-        yield from _vehicle(own)
-
-
-def _vehicle(owner: Estimate | FlightEstimate) -> Rows:
+def _vehicle(owner: LogEstimate) -> Rows:
     for label, name, unit in OF_VEHICLE:
         value, spread = getattr(owner, name), owner.vehicle_uncertainty
         if value is not None and value == value:
