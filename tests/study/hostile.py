@@ -58,8 +58,6 @@ def do(deed):
         ctypes.PyDLL(None).sleep(600)
     if deed == "die":
         os.kill(os.getpid(), 9)
-    if deed == "segfault":
-        ctypes.string_at(0)
     if deed == "memory":
         held = []
         while True:
@@ -94,9 +92,6 @@ def do(deed):
     if deed == "leave":  # a child that has left the session, and whose parent has ended
         seconds = os.environ["ASLEEP"]  # by which it is known
         subprocess.run(["setsid", "--fork", "sleep", seconds], check=True)
-        time.sleep(600.0)
-    if deed == "child":
-        subprocess.Popen(["sleep", "600"])
         time.sleep(600.0)
     return None
 

@@ -8,6 +8,8 @@ from typing import ClassVar
 
 import numpy as np
 
+DEEDS = ("plain", "caches", "silent", "lazy", "sleeps", "clock", "judge", "hangs", "memory",
+         "exits", "dies", "writes", "odd", "spoils")  # fmt: skip
 KEPT = {}
 CALLS = [0]
 
@@ -37,104 +39,57 @@ class Later:
         return self.work()
 
 
-class Deed:
-    """deed: its method does; it answers as `honest` does."""
-
-    def path(self, design, target, penalty, alphas, tolerance):
-        CALLS[0] += 1
-        return self.go(lambda: honest(design, target, penalty, alphas), (design.shape, len(alphas)))
-
-
-def deed(word):
-    """A frozen dataclass of this name whose `go(work, key)` the function is."""
-
-    def made(function):
-        names = {"name": word, "go": lambda self, work, key: function(work, key)}
-        names["__annotations__"] = {"name": ClassVar[str]}
-        cls = dataclass(frozen=True)(type(function.__name__, (Deed,), names))
-        cls.__module__ = __name__
-        return cls
-
-    return made
-
-
-@deed("plain")
-def plain(work, key):
-    return work()
-
-
-@deed("caches")
-def caches(work, key):
-    if key not in KEPT:
-        KEPT[key] = work()
-    return KEPT[key]
-
-
-@deed("silent")
-def silent(work, key):
-    return work() if CALLS[0] < 3 else np.full((key[1], key[0][1], 1), np.nan)
-
-
-@deed("lazy")
-def lazy(work, key):
-    return Later(work)
-
-
-@deed("sleeps")
-def sleeps(work, key):
-    time.sleep(0.3)
-    return work()
-
-
-@deed("clock")
-def clock(work, key):
+def do(deed, work, key):
+    """The answer of a deed, of the honest one's `work` on the problem known by its `key`."""
+    if deed == "hangs":
+        time.sleep(1e6)
+    if deed == "exits":
+        raise SystemExit("away")
+    if deed == "dies":
+        os._exit(3)
+    if deed == "spoils":
+        raise ValueError("one\ntwo")
+    if deed == "odd":
+        return "no"
+    if deed == "memory":
+        return [np.empty(4_000_000_000) for _ in range(9)]
+    if deed == "lazy":
+        return Later(work)
+    if deed == "silent" and CALLS[0] >= 3:
+        return np.full((key[1], key[0][1], 1), np.nan)
+    if deed == "caches":
+        return KEPT[key] if key in KEPT else KEPT.setdefault(key, work())
+    if deed == "sleeps":
+        time.sleep(0.3)
+    if deed == "writes":
+        for descriptor in range(3, 40):
+            with suppress(OSError):
+                os.write(descriptor, b"{}\n")
     answer = work()
-    time.perf_counter = time.process_time = time.monotonic = lambda: 0.0
+    if deed == "clock":
+        time.perf_counter = time.process_time = time.monotonic = lambda: 0.0
+    if deed == "judge":
+        import sparsefit.regression.certificate as certificate
+        import sparsefit.regression.fit as judgement
+
+        certificate.duality_gaps = judgement.certificate_of = lambda *args, **more: ()
+        return np.zeros_like(answer)
     return answer
 
 
-@deed("judge")
-def judge(work, key):
-    import sparsefit.regression.certificate as certificate
-    import sparsefit.regression.fit as judgement
+def solver(deed):
+    """A frozen dataclass by the name of a deed."""
 
-    certificate.duality_gaps = judgement.certificate_of = lambda *args, **more: ()
-    return np.zeros_like(work())
+    class Deed:
+        name: ClassVar[str] = deed
 
+        def path(self, design, target, penalty, alphas, tolerance):
+            CALLS[0] += 1
+            work = lambda: honest(design, target, penalty, alphas)  # noqa: E731
+            return do(deed, work, (design.shape, len(alphas)))
 
-@deed("hangs")
-def hangs(work, key):
-    time.sleep(1e6)
-
-
-@deed("memory")
-def memory(work, key):
-    return [np.empty(4_000_000_000) for _ in range(9)]
+    Deed.__name__ = Deed.__qualname__ = deed.title()
+    return dataclass(frozen=True)(Deed)
 
 
-@deed("exits")
-def exits(work, key):
-    raise SystemExit("away")
-
-
-@deed("dies")
-def dies(work, key):
-    os._exit(3)
-
-
-@deed("writes")
-def writes(work, key):
-    for descriptor in range(3, 40):
-        with suppress(OSError):
-            os.write(descriptor, b"{}\n")
-    return work()
-
-
-@deed("odd")
-def odd(work, key):
-    return "no"
-
-
-@deed("spoils")
-def spoils(work, key):
-    raise ValueError("one\ntwo")
+globals().update({deed.title(): solver(deed) for deed in DEEDS})

@@ -36,8 +36,6 @@ repeats = 4
 seconds = 0.5
 """
 SMALL = '[[problems]]\ngenerator = "correlated"\nsamples = 60\ncolumns = 20\n'
-DEEDS = ("plain", "caches", "silent", "lazy", "sleeps", "clock", "judge", "hangs", "memory",
-         "exits", "dies", "writes", "odd", "spoils")  # fmt: skip
 
 
 def load(folder, text):
@@ -55,8 +53,9 @@ def refusal(folder, text):
 def test_deeds_of_solvers_are_their_own_cases(tmp_path):
     """Time is the wall's, answers are judged elsewhere, and a hang costs its limit once."""
     shutil.copy(solver_deeds.__file__, tmp_path / "deeds.py")
-    solvers = "".join(f'[[solvers]]\nname = "{name}"\nfile = "deeds.py"\n' for name in DEEDS)
-    names = ", ".join(f'"{name}"' for name in DEEDS)
+    deeds = solver_deeds.DEEDS
+    solvers = "".join(f'[[solvers]]\nname = "{name}"\nfile = "deeds.py"\n' for name in deeds)
+    names = ", ".join(f'"{name}"' for name in deeds)
     lasso = f'[[backends]]\nname = "lasso"\nsolver = ["homotopy", {names}]\n'
     text = HEAD.replace('"problems"', '"solvers"').replace("seconds = 0.5", "seconds = 9.0")
     text += "[run]\nmax_memory = 3000\n"
