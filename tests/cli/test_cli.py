@@ -260,23 +260,11 @@ def test_estimator_file_is_used(capsys, flight):
     assert "--grid-step and --estimator cannot both be given" in err
 
 
-CHANGES = {
-    "no column x": lambda lines: [line.replace("time,x,", "time,q,") for line in lines],
-    "line 20, column vy: '1 m'": lambda lines: [
-        *lines[:19], lines[19].rpartition(",")[0] + ",1 m\n", *lines[20:]
-    ],
-    "row 14": lambda lines: [*lines[:20], lines[19], *lines[20:]],
-    "at least 3 samples; got 2": lambda lines: lines[:8],
-    "found nothing": lambda lines: [],
-    'unknown key "thrust_az"': lambda lines: ["# thrust_az=1\n", *lines],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("words", CHANGES)
-def test_estimate_refuses_a_flight_that_is_none(capsys, flight, words):
-    err = refused(capsys, "estimate", edited("bad.csv", CHANGES[words]), "--json")
+def test_estimate_refuses_a_flight_that_is_none(capsys, flight):
+    bad = edited("bad.csv", lambda lines: [*lines[:19], "0.1,1,2,3,1 m\n", *lines[20:]])
+    err = refused(capsys, "estimate", bad, "--json")
     assert "bad.csv: " in err
-    assert words in err
+    assert "line 20, column vy: '1 m'" in err
 
 
 @pytest.mark.parametrize(

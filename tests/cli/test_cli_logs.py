@@ -110,22 +110,14 @@ def test_the_log_is_told_before_the_estimate(capsys):
     assert "there is no folder no" in refused(capsys, "flight.csv", "--plot", "no/a.png")
 
 
-LOGS = {
-    "a gap of 10 minutes": lambda f: replace(f, time=f.time + 600.0 * (f.time > 2)),
-    "stands still": lambda f: replace(f, position=0.01 * f.position, velocity=0.01 * f.velocity),
-    "velocity is zero": lambda f: replace(f, velocity=0.0 * f.velocity),
-}
-
-
-@pytest.mark.parametrize("words", LOGS)
-def test_bad_logs_are_refused_by_name_before_any_work(capsys, monkeypatch, flight, words):
+def test_a_bad_log_is_refused_by_name_before_any_work(capsys, monkeypatch, flight):
     def worked(*_):
         raise AssertionError("an estimate was begun")
 
     monkeypatch.setattr("sparsefit.estimator.estimator.Estimator.estimate", worked)
-    write_flight(LOGS[words](flight), "bad.csv")
-    assert words in refused(capsys, "bad.csv")
+    write_flight(replace(flight, time=flight.time + 600.0 * (flight.time > 2)), "bad.csv")
     assert "bad.csv: " in refused(capsys, "bad.csv", "--json")
+    assert "a gap of 10 minutes" in refused(capsys, "bad.csv")
 
 
 @pytest.mark.parametrize(

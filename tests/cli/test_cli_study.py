@@ -321,8 +321,7 @@ def test_what_needs_a_finished_study_refuses_another(capsys, half):
     assert "32 of 96 cases are there" in refused(capsys, "study", "report", half)
 
 
-@pytest.mark.parametrize("action", ["check", "run"])
-def test_study_files_that_are_none_are_refused(capsys, fresh, action):
+def test_study_files_that_are_none_are_refused(capsys, fresh):
     """What lies in [select] and [outputs], beside what `test_definition` has."""
     for text, words in (
         ("name = ", "bad.toml:1: not TOML"),
@@ -332,11 +331,10 @@ def test_study_files_that_are_none_are_refused(capsys, fresh, action):
         (f"{STUDY}[select]\nmax_failur = 0.1", 'did you mean "max_failure"?'),
     ):
         Path("bad.toml").write_text(text)
-        assert words in refused(capsys, "study", action, "bad.toml")
+        assert words in refused(capsys, "study", "check", "bad.toml")
+    assert words in refused(capsys, "study", "run", "bad.toml")
     for name in ("missing.toml", "."):
-        assert name in refused(capsys, "study", action, name)
-    Path("good.toml").write_text(STUDY)
-    assert run(capsys, "study", "check", "good.toml")[0] == 0
+        assert name in refused(capsys, "study", "check", name)
 
 
 def test_results_of_another_study_are_refused(capsys, finished):
