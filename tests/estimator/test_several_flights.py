@@ -153,7 +153,7 @@ def test_the_command_line_reads_several_files(tmp_path, capsys):
     paths = [str(tmp_path / f"{place}.csv") for place in range(2)]
     for path, flight in zip(paths, FLEET, strict=False):
         sf.write_flight(flight, path)
-    assert main(["estimate", *paths, "--refine", "variable-projection"]) == 0
+    assert main(["estimate", *paths, "--set", "readout.refine=variable-projection"]) == 0
     printed = capsys.readouterr().out
     assert all(
         f"flight {place + 1}              {path}" in printed for place, path in enumerate(paths)
