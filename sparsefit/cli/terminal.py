@@ -53,20 +53,15 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
         raise InputError(f"{path} exists; add --force or choose another name")
 
 
-def check_folder(path: str, *, force: bool = False, own: str = "") -> Path:
-    """The folder to write, refused before any work where it holds files of others.
-
-    own: the name of a file by which a folder shows that this verb has written it.
-    """
+def check_folder(path: str, *, force: bool = False) -> Path:
+    """The folder to write, refused before any work where it holds files of others."""
     folder = Path(path)
     if not path.strip():
         raise InputError("the name of the folder to write is empty; give one")
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{path} is a file; choose another name for the folder")
-    written = force or (own and (folder / own).exists())
-    if folder.is_dir() and any(folder.iterdir()) and not written:
-        remedy = f"it has no {own}: choose" if own else "add --force or choose"
-        raise InputError(f"{path} is not empty; {remedy} another name")
+    if folder.is_dir() and any(folder.iterdir()) and not force:
+        raise InputError(f"{path} is not empty; add --force or choose another name")
     return folder
 
 

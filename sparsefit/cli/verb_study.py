@@ -24,7 +24,6 @@ from sparsefit.cli.options import (
 )
 from sparsefit.cli.terminal import (
     Progress,
-    check_folder,
     check_output,
     coloured,
     duration,
@@ -46,7 +45,7 @@ EXAMPLE = """\
 """
 COMPARE = """\
   sparsefit study compare results-0.3/table2 results/table2
-  sparsefit study compare old/table2 studies/table2.toml -o changes
+  sparsefit study compare old/table2 studies/table2.toml
 """
 MERGE = """\
   sparsefit study run studies/table2.toml --only lasso          # on one machine
@@ -84,7 +83,6 @@ COMPARED = (
     RESULTS,
     Option("--tolerance", "a number that changed by less is the same; default: 1e-6 of itself",
            "SHARE", number(), {"default": 1e-6}),
-    Option("-o --output", "write tables and a picture there", "FOLDER"),
 )  # fmt: skip
 PARTS = Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"})
 SECTION = Option("section", "flights, library, run, select ...; default: all of them", "SECTION",
@@ -298,7 +296,7 @@ def show(args: argparse.Namespace) -> Answer:
 
 def _show_case(args: argparse.Namespace) -> Answer:
     """Run one case again, write its picture, and print its numbers beside the stored ones."""
-    from sparsefit.study import case_page
+    from sparsefit.study.page import write_case
 
     study, flown = read_study(args), None
     if study.kind == "flights":
@@ -307,7 +305,7 @@ def _show_case(args: argparse.Namespace) -> Answer:
         if flown is None:
             raise InputError("--output: there is no flight to draw in a study of solvers")
         check_output(args.output, force=args.force, endings=(".html", ".svg", ".png"))
-    table = case_page.write_case(study, args.case, flown)
+    table = write_case(study, args.case, flown)
     record = {"case": args.case, "picture": flown and str(flown), **table.record()}
     written = [f"written to {flown}"] if flown else []
     return Answer(record, [table.to_text(terminal_width()), *written])
@@ -335,15 +333,12 @@ def compare(args: argparse.Namespace) -> Answer:
         return Study.from_file(name, results=args.results).cases
 
     tolerance = non_negative("--tolerance", args.tolerance)
-    folder = None if args.output is None else check_folder(args.output, own="comparison.md")
     names = (args.first, args.second)
     first, second = map(cases, names)
     both = comparing.compare(first, second, names, tolerance)
-    written = list(map(str, comparing.write_comparison(both, folder) if folder else []))
     tables = (table for table in both.tables.values() if len(table.frame))
     lines = [*(table.to_text(terminal_width()) for table in tables), both.sentence]
-    lines += [f"written: {path}" for path in written[-1:]]
-    return Answer(both.record() | {"written": written}, lines, int(both.differs))
+    return Answer(both.record(), lines, int(both.differs))
 
 
 def merge(args: argparse.Namespace) -> Answer:

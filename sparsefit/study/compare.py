@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,13 +17,11 @@ import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError
-from sparsefit.study import page
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import grouped, level_text
 from sparsefit.study.measures import factors, measure, numbers
 from sparsefit.study.resampling import by_unit, difference, pooled
 from sparsefit.study.table import Table, significant
-from sparsefit.whole_file import write_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,16 +171,3 @@ def _effects(sides: list[pd.DataFrame], marks: pd.DataFrame) -> pd.DataFrame:
         short = [", ".join(f"{key}={own.get(key)}" for key in differ) for own in every]
         frame.loc[texts.index, "settings"] = short
     return frame.sort_values("changed", ascending=False, kind="stable", key=lambda n: n > 0)
-
-
-def write_comparison(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write the tables as CSV, comparison.html and comparison.md, the last."""
-    made, title = comparison.tables, " and ".join(comparison.names)
-    files = {f"{name}.csv": each.to_csv().encode() for name, each in made.items()}
-    sections = {"Tables": list(made.values())}
-    files["comparison.html"] = page.to_html(title, title, [comparison.sentence], sections).encode()
-    files["comparison.md"] = page.joined(
-        [f"# {title}", comparison.sentence, *(each.to_markdown(30) for each in made.values())]
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    return write_files(folder, files)

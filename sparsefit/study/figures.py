@@ -18,12 +18,12 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
-from sparsefit.plot.style import GREY, styled, with_unit, wrapped
+from sparsefit.plot.style import COLOURS, GREY, styled, with_unit, wrapped
 from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text
 from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers, three
-from sparsefit.study.panels import LOG_RANGE, NAMED_CURVES, Curve, Panel, Ranks, drawn
+from sparsefit.study.panels import LOG_RANGE, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
 from sparsefit.study.table import sentence
 
@@ -212,7 +212,7 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     Colours are conditions. What lies outside of the frame is drawn on its edge, and counted.
     """
     flown = cases[measures.in_flow(cases)]
-    if flown["condition"].nunique() > NAMED_CURVES:
+    if flown["condition"].nunique() > len(COLOURS):
         flown = flown.assign(condition="all conditions")
     grid = [
         [_points(flown[flown["title"] == title], name, "" if at else f"{wrapped(title, 30)}\n\n")

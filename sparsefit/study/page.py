@@ -1,7 +1,8 @@
 """The pages of a study: tables and pictures as files, one offline HTML page, and a README.
 
 The page is one file: style and script stand in it, its policy lets no other script run and no
-other file be fetched, and whatever comes from a file is escaped.
+other file be fetched, and whatever comes from a file is escaped. A case that is run again has a
+page, too.
 """
 
 from __future__ import annotations
@@ -25,13 +26,25 @@ from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import asked, grouped, script_of
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import measure, numbers
-from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
-from sparsefit.whole_file import write_files
+from sparsefit.study.table import (
+    MARKDOWN,
+    Column,
+    Table,
+    cell_text,
+    plain,
+    sentence,
+    significant,
+)
+from sparsefit.whole_file import write_files, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
 
 LARGEST_VECTOR = 1_000_000  # bytes of an SVG that is written beside its PNG
+CASE = (
+    "The track over the vorticity of the flow that was estimated, the weight of each candidate "
+    "scale, what that flow leaves of the velocity of the air, and its spectrum."
+)
 WORDS = 700  # of a README: what is longer stands in its files and on the page
 
 
@@ -124,10 +137,10 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     if not (outputs.headline or default):
         return " ".join(solver_times.headline(cases))
     each = measure(outputs.headline or default)
-    values, column = each.values(cases), tables.column_of(each)
-    groups = grouped(cases, ["title"])
-    every = {str(title): each.summary_of(values[at]) for (title,), at in groups}
-    scores = {title: value for title, value in every.items() if not math.isnan(value)}
+    values, column, scores = each.values(cases), tables.column_of(each), dict[str, float]()
+    for (title,), at in grouped(cases, ["title"]):
+        if not math.isnan(score := each.summary_of(values[at])):
+            scores[str(title)] = score
     if not scores:
         return f"No case has a number for the {each.phrase}."
 
@@ -250,3 +263,53 @@ def _readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
         room -= len(text.split()) + 5
     parts += [*texts, *shown] if "prediction" in made else [*shown, *texts]
     return joined([*parts, f"More tables: {', '.join(linked)}." if linked else ""])
+
+
+def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
+    """Run a case again, draw it into a file, and return its numbers, stored and now.
+
+    Args:
+        file: .html, .svg, .png or .pdf; a regression problem is not drawn.
+
+    Raises:
+        InputError: if the study plans no such case.
+    """
+    import pandas as pd
+
+    from sparsefit.plot import draw_estimate
+
+    again, cases = study.again(case_id), study.cases
+    mine = cases[cases["case_id"] == case_id].to_dict("records")
+    stored: dict[Any, Any] = mine[0] if mine else {}
+    truth = {f"est_{name[5:]}": value for name, value in stored.items() if name[:5] == "true_"}
+    rows = [
+        (name, truth.get(name), stored.get(name), value)
+        for name, value in again.values.items()
+        if plain(stored.get(name)) is not None or plain(value) not in (None, "")
+    ]
+    frame = pd.DataFrame(rows, columns=["what", "truth", "stored", "run again"], dtype=object)
+
+    def text(value: object) -> str:
+        cell = plain(value)
+        return "–" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell)
+
+    frame.attrs["title"] = f"Case {case_id}"
+    frame.attrs["notes"] = () if stored else ("The case has no stored row yet.",)
+    made = Table.of(frame.map(text))
+    if file is None or study.kind != "flights":
+        return made
+    plan = study.plan()
+    case = plan[plan["case_id"] == case_id].iloc[0]
+    name = f"{study.name}, case {case_id}: {case['title']}"
+    flow = again.flown.draw.flow
+    truths = [part.length_scale for part in flow.cells] if flow is not None else []
+    estimate, estimator = again.estimate, study.estimator(case["candidate"])
+    figure = draw_estimate(estimate, estimator, list(again.flown.fleet[:1]), name, truths)
+    if file.suffix.lower() != ".html":
+        write_whole(file, encoded(figure, file.suffix.lower()))
+        return made
+    answer = f"{estimate.status}: {estimate.reason}".removesuffix(": ")
+    picture = drawing("case", Picture(figure, CASE))
+    sections: dict[str, Sequence[Any]] = {"Picture": [picture], "Numbers": [made]}
+    write_whole(file, to_html(study.name, name, [answer], sections))
+    return made
