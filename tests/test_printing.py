@@ -57,5 +57,5 @@ def test_an_estimate_that_is_refused_tells_why():
         velocity_noise=0.2,
     )  # fmt: skip
     answer = sf.Estimator().estimate(still)
-    assert answer.status != "ok"
-    assert str(answer) == f"{answer.status}: {answer.reason}"
+    assert str(answer) == f"unidentifiable: {answer.reason}"
+    assert answer.reason.startswith("no cellular flow detected")

@@ -176,7 +176,7 @@ class Estimator:
 
         several, precision = self.readout.scales == "several", self.readout.precision
         search, parts = prepared.search, dict[str, Any]()
-        early = next(doubts_of_logs(prepared), None)
+        early = next(doubts_of_logs(prepared, self.free), None)
         if early is not None:
             return parts, early
         start = self.readout.start(search, fit, self.library)

@@ -12,23 +12,28 @@ import numpy as np
 
 from sparsefit.estimator.estimate import Doubt, ScaleEstimate, Verdict
 from sparsefit.estimator.measure import Measured
-from sparsefit.estimator.prepare import Prepared
-from sparsefit.flight import Flight
+from sparsefit.estimator.prepare import Prepared, apart
+from sparsefit.likelihood.causes import FREEDOMS, Suspect
 from sparsefit.likelihood.diagnosis import usable
-from sparsefit.likelihood.nodes import noise_of
 from sparsefit.model.grid import extent_of
 
 RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
+DISAGREES = 0.2  # of the motion: position and velocity that are further apart are not of one
 QUANTITIES = {
     "mean_velocity": "the mean velocity",
     "length_scale": "the length scale",
     "timescale": "the timescale",
 }
 MORE = "more than noise is left"
+WANDERS = {
+    "turbulence": "turbulence",
+    "wander": "a position that wanders",
+    "swell": "a mean velocity that swells",
+}
 
 
-def doubts_of_logs(prepared: Prepared) -> Iterator[Verdict]:
-    """Doubts before a flow is searched for."""
+def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[Verdict]:
+    """Doubts before a flow is searched for; free: as in `doubts_of_flow`."""
 
     def unidentifiable(doubt: Doubt, words: str) -> Verdict:
         return Verdict("unidentifiable", words, doubt)
@@ -44,8 +49,11 @@ def doubts_of_logs(prepared: Prepared) -> Iterator[Verdict]:
     if float(np.abs(phi - phi.mean(axis=0)).max()) <= 1e-6 * speed:  # smoothing errs by 1e-9
         yield unidentifiable(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
     for number, flight in enumerate(prepared.flights, 1):
+        latency = prepared.latencies[number - 1]
         share = apart(flight) if flight.velocity_measured else 0.0
-        if share > 0.2:
+        if latency and share > DISAGREES and not (free == "auto" or "latency" in free):
+            yield _too_late(_of_flight(prepared, number), latency)
+        if share > DISAGREES and not latency:
             size = f"{100 * share:.0f} % of" if share < 10 else "more than 10 times"
             yield unidentifiable(
                 Doubt.DISAGREEMENT,
@@ -89,6 +97,10 @@ def doubts_of_flow(
                 f"sample, too far to follow a length scale of {least:.3g} m; sample at "
                 f"{RESOLVED * speed / least:.3g} Hz or more",
             )
+    seen = [*free, *result.freed, *(own.free for own in result.suspects)] if result else free
+    for number, latency in enumerate(prepared.latencies, 1):
+        if latency and "latency" not in seen:  # the log alone tells it, whatever flow was fitted
+            yield _too_late(_of_flight(prepared, number), latency)
     if result is None or not result.detected:
         yield unidentifiable(
             Doubt.NO_FLOW,
@@ -123,6 +135,14 @@ def doubts_of_flow(
             name = first.free
             remedy = f'; free it: free = ["{name}"] (--free {name}), or free = "auto"'
             yield misfit(f"{MORE}{where}: {first.words}{remedy if name else ''}")
+        wanders = [own.name for own in posterior.model.disturbance.processes]
+        unasked = [name for name in wanders if name in FREEDOMS and name not in free]
+        if free == "auto" and result.diagnosis.suspects and unasked:
+            names = ", ".join(own.free for own in result.diagnosis.suspects)
+            yield misfit(
+                f"{MORE} beside {names}: {' and '.join(WANDERS[own] for own in unasked)}; what is "
+                "wrong may be none of these: correct the vehicle or the log, or name what to free"
+            )
         shares = [own.r_squared for own in goodness.flights]
         if shares and min(shares) < 0.8 < max(shares):
             yield misfit(
@@ -140,7 +160,6 @@ def doubts_of_flow(
                 f"{MORE}: turbulence of {goodness.turbulence:.2g} m/s, "
                 f"{100 * goodness.turbulence_share:.2g} % of U0, and hardly any steady cells"
             )
-        wanders = posterior.model.disturbance.processes
         if not (posterior.exact or wanders or goodness.whiteness >= 1e-6):
             yield misfit(
                 f"{MORE}: innovations are not white (p = {goodness.whiteness:.1g}), and no cause "
@@ -187,21 +206,11 @@ def doubts_of_flow(
         )
 
 
-def apart(flight: Flight) -> float:
-    """The rms of the way less the integral of the velocity, as a share of the way.
-
-    Ways are those over a 32nd of the log each; five deviations of the noise of the readings are
-    taken off.
-    """
-    steps = np.diff(flight.time)[:, None]
-    half = 0.5 * (flight.velocity[1:] + flight.velocity[:-1]) * steps
-    integral = np.vstack([np.zeros(2), np.cumsum(half, axis=0)])
-    ends = np.unique(np.linspace(0, len(flight.time) - 1, 33).astype(int))
-    ways, moved = np.diff(flight.position[ends], axis=0), np.diff(integral[ends], axis=0)
-    rms = math.sqrt(float(np.mean((ways - moved) ** 2)))
-    drawn = float(np.mean(steps)) * math.sqrt(len(flight.time) / len(ends))
-    noise = math.hypot(noise_of(flight.position), drawn * noise_of(flight.velocity))
-    return max(rms - 5.0 * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
+def _too_late(where: str, latency: float) -> Verdict:
+    """The misfit of a log whose position or velocity is late [s]."""
+    words = Suspect("latency", (latency,), 0.0, math.inf, "latency").words
+    remedy = 'shift its times, or free it: free = ["latency"] (--free latency)'
+    return Verdict("misfit", f"{where}{words}; {remedy}", Doubt.MISFIT)
 
 
 def _of_flight(prepared: Prepared, number: int) -> str:

@@ -231,7 +231,10 @@ def measure_flow(
     if not proposals:
         return None
     logs = [FlightLog.of_flight(flight) for flight in prepared.flights]
-    names = tuple(dict.fromkeys((*prepared.library.unknown, *(() if free == "auto" else free))))
+    evident = ("latency",) if any(prepared.latencies) else ()
+    asked = evident if free == "auto" else free
+    names = tuple(dict.fromkeys((*prepared.library.unknown, *asked)))
+    late = prepared.latencies if "latency" in names else [0.0] * len(logs)
     constants = [
         own for name in names for own in FREEDOMS[name].elements if not FREEDOMS[name].wanders
     ]
@@ -253,6 +256,10 @@ def measure_flow(
         pattern = _pattern(proposal)
         models = [
             Model.of_flight(pattern, *pair, proposal.background).free(*constants) for pair in pairs
+        ]
+        models = [
+            model.at({"latency": own}) if own else model
+            for model, own in zip(models, late, strict=True)
         ]
         there = fitted(logs, models)
         for name in names:
@@ -276,7 +283,7 @@ def measure_flow(
     diagnosis = Diagnosis(likelier, likelier)
     goodness = Goodness.of(likelier, diagnosis)
     white = goodness.whiteness > 1e-6 or likelier.exact
-    clear = white and goodness.r_squared > EXPLAINED
+    clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
     excess = math.inf if clear else _excess(prepared, logs, likelier)
     if excess > -HIDDEN or goodness.r_squared > MOSTLY:
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -14,11 +15,14 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, told_of
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.likelihood.nodes import noise_of
 from sparsefit.model import Library, Search, flight_weights
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative, Samples
 
 FEWEST = 20  # rows of each of several flights: fewer do not tell the flight's own noise
+EVIDENT = 0.02  # of the motion: a latency is looked for in what is further apart
+MENDED = 0.1  # of how far they are apart, that a latency may leave
 
 Result = TypeVar("Result")
 
@@ -81,11 +85,47 @@ class Prepared(Brief):
         """The search off the grid. Raises InputError where nothing can be found."""
         return Search.of(self.parts, self.vehicles, self.library, self.weights)
 
+    @cached_property
+    def latencies(self) -> list[float]:
+        """The latency [s] of each flight that its log alone tells; 0: none."""
+        return [latency_of(flight) for flight in self.flights]
+
     def once(self, key: object, work: Callable[[], Result]) -> Result:
         """Return the work's result, computed once for all back-ends that come to the same key."""
         if key not in self._answers:
             self._answers[key] = work()
         return cast(Result, self._answers[key])
+
+
+def latency_of(flight: Flight) -> float:
+    """The time [s] by which positions are older than velocities, where it mends how both differ."""
+    if not (flight.velocity_measured and apart(flight) > EVIDENT):
+        return 0.0
+    farthest = 0.1 * float(np.ptp(flight.time))
+    steps = np.arange(1, 65) * max(float(np.median(np.diff(flight.time))), farthest / 64)
+    shifts = [sign * step for step in steps[steps <= farthest].tolist() for sign in (1, -1)]
+    best = min(shifts, key=lambda shift: apart(flight, shift, 0.0), default=0.0)
+    return best if apart(flight, best) < MENDED * apart(flight) else 0.0
+
+
+def apart(flight: Flight, latency: float = 0.0, noises: float = 5.0) -> float:
+    """The rms of the way less the integral of the velocity, as a share of the way.
+
+    Ways are those over a 32nd of the log each. latency: by which positions are older than the
+    velocities [s]; noises: deviations of the noise of the readings that are taken off.
+    """
+    steps = np.diff(flight.time)[:, None]
+    half = 0.5 * (flight.velocity[1:] + flight.velocity[:-1]) * steps
+    integral = np.vstack([np.zeros(2), np.cumsum(half, axis=0)])
+    ends = np.unique(np.linspace(0, len(flight.time) - 1, 33).astype(int))
+    times = flight.time[ends] - latency
+    ends = ends[(times >= flight.time[0]) & (times <= flight.time[-1])]
+    summed = [np.interp(flight.time[ends] - latency, flight.time, each) for each in integral.T]
+    ways, moved = np.diff(flight.position[ends], axis=0), np.diff(summed, axis=1).T
+    rms = math.sqrt(float(np.mean((ways - moved) ** 2)))
+    drawn = float(np.mean(steps)) * math.sqrt(len(flight.time) / len(ends))
+    noise = math.hypot(noise_of(flight.position), drawn * noise_of(flight.velocity))
+    return max(rms - noises * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
 
 
 def prepare(

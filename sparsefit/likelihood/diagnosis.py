@@ -37,6 +37,9 @@ CLEAR = 8.0  # times a first gain, to second order: what gained more already is 
 CALMER = 0.5  # of what wanders, and of its gain: a cause beside it explains as much at least
 TUNED = 3.0  # the factor between the rates that are tried of what wanders
 SEEN = 1e-9  # the least eigenvalue of the scaled information of a direction that is seen
+HINT = 0.1  # of a gain by chance, below which a cause that is not found widens the intervals
+FACTOR = 3.0  # by which a scale or a response time may be off
+LATEST = 0.2  # of half the log: the longest latency
 CHANCE = 2.0  # of log-likelihood, that a level may gain where it is none
 COLOURED = 1e-3  # the p-value of innovations that are not white
 SCANNED = (0.03, 0.1, 0.3, 1.0)  # shares of a level at which a process is first looked for
@@ -50,11 +53,13 @@ class Gain:
         gain: 2 ln(likelihood ratio).
         step: of the elements (g,), everything else that is free moving along.
         error: their standard errors (g,).
+        moves: the shares by which U0 and L move with the step.
     """
 
     gain: float
     step: Array
     error: Array
+    moves: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -99,7 +104,7 @@ class Diagnosis:
         suspects: the causes, the most significant one first.
         growth: of U0 in time, at the posterior.
         turbulence_gain: 2 ln(likelihood ratio) of the disturbances that walk; 0 without any.
-        ambiguity: by which shares other causes, nearly as likely, say other U0 and L.
+        ambiguity: by which shares other causes, nearly as likely or hinted at, say other U0 and L.
     """
 
     posterior: Posterior
@@ -136,7 +141,7 @@ def diagnose(
     def score(trial: Trial) -> tuple[float, Trial, Posterior | None]:
         """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
         there = ready if trial.free == "turbulence" and ready else fitted(logs, trial.models, start)
-        if there is None or not usable(there) or not inside(there):
+        if there is None or not usable(there) or not (inside(there) and plausible(there, first)):
             return -math.inf, trial, None
         return there.log_likelihood - 2.0 * trial.freedom, trial, there
 
@@ -208,6 +213,12 @@ def diagnose(
     if posterior is not start:
         gains = gains_of(posterior, {"growth": ("growth",)})
     growth, shares = gains.get(("growth", 0)), _ambiguity(posterior, rivals) if suspects else (0, 0)
+    if posterior is start:  # gains are those of the last round, in which nothing was found
+        hints = [
+            own.moves for own in gains.values()
+            if tests * chance_of(own.gain, len(own.step)) < HINT
+        ]  # fmt: skip
+        shares = tuple(np.max([shares, *np.abs(hints).tolist()], axis=0).tolist())
     return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
 
 
@@ -433,8 +444,43 @@ def gains_of(
             step = axes @ (along_axes / roots) / size[added]
             error = np.sqrt(np.sum(axes**2 / roots, axis=1)) / size[added]
             own_flight = flight if f"{elements[0]}@2" in names else 0
-            gains[group, own_flight] = Gain(float(np.sum(along_axes**2 / roots)), step, error)
+            moved = -(along[:, added] @ (step * size[added])) / size[base]
+            ahead = dict(zip((names[place] for place in base), moved.tolist(), strict=True))
+            gains[group, own_flight] = Gain(
+                float(np.sum(along_axes**2 / roots)), step, error, _moves(posterior, ahead)
+            )
     return gains
+
+
+def _moves(posterior: Posterior, steps: dict[str, float]) -> tuple[float, float]:
+    """The shares by which U0 and L move with steps of the free parameters, to first order."""
+    pattern, nudge = posterior.model.pattern, 1e-6
+    values = zip(pattern.names, pattern.values, strict=True)
+    moved = replace(
+        pattern, values=tuple(value + nudge * steps.get(name, 0.0) for name, value in values)
+    )
+    speeds = moved.mean_velocity / pattern.mean_velocity
+    lengths = moved.length_scale / pattern.length_scale
+    return (speeds - 1.0) / nudge, (lengths - 1.0) / nudge
+
+
+def plausible(there: Posterior, believed: Posterior) -> bool:
+    """Whether vehicle and instruments are such as may be, beside what they are believed to be."""
+    for leg, before in zip(there.legs, believed.models, strict=True):
+        now, was, half = leg.model.values, before.values, 0.5 * float(np.ptp(leg.log.time))
+        sizes = [
+            *(abs(math.log(now[name] / was[name])) / math.log(FACTOR) if now[name] > 0 else math.inf
+              for name in ("response_time", "thrust_scale", "position_scale", "velocity_scale")),
+            *(abs(now[name]) / leg.log.speed
+              for name in ("wind_x", "wind_y", "velocity_bias_x", "velocity_bias_y")),
+            *(abs(now[name]) * half for name in ("mass_rate", "growth")),
+            abs(now["lag"]) / now["response_time"],
+            abs(now["latency"]) / (LATEST * half),
+            -now["quadratic_drag"] * leg.log.speed,
+        ]  # fmt: skip
+        if max(sizes) > 1.0:
+            return False
+    return True
 
 
 def chance_of(gain: float, freedom: int) -> float:

@@ -122,7 +122,41 @@ def test_still_air_flown_slowly_with_noisy_instruments_is_no_flow():
         )
         found = sf.Estimator().estimate(flight)
         assert found.status == "unidentifiable"
-        assert "false alarm" in found.reason or "known only to" in found.reason
+        assert found.doubt == Doubt.NO_FLOW, found.reason
+
+
+@pytest.mark.parametrize("late", [-0.2, 0.2])
+def test_a_latency_that_hides_the_flow_is_named(late):
+    whole = flown(rate=50.0, duration=20.0, seed=3, velocity_noise=0.2, position_noise=0.05)
+    shift = round(late * 50)
+    there, then = (slice(10, -10), slice(10 - shift, len(whole.time) - 10 - shift))
+    flight = sf.Flight(
+        time=whole.time[there], position=whole.position[then], velocity=whole.velocity[there],
+        vehicle=VEHICLE,
+    )  # fmt: skip
+    found = estimate(flight)
+    assert found.status == "misfit"
+    words = (
+        "the logged position seems late, by" if late > 0 else "the logged velocity seems late, by"
+    )
+    assert words in found.reason
+    milliseconds = float(found.reason.split(words)[1].split(" ms")[0])
+    assert milliseconds == pytest.approx(200, abs=40)
+    freed = sf.Estimator(free="auto").estimate(flight)
+    if freed.status == "ok":
+        assert freed.mean_velocity == pytest.approx(15.43, rel=0.01)
+    else:  # rows of a position and a velocity so far apart do not always show the flow
+        assert freed.status == "misfit"
+
+
+def test_causes_beside_which_something_wanders_are_not_believed():
+    whole = flown(duration=20.0, rate=50.0, seed=5, velocity_noise=0.2, position_noise=0.05)
+    slow, share = whole.velocity.copy(), 0.02 / (0.1 + 0.02)
+    for row in range(1, len(slow)):  # a low-pass filter of 0.1 s, which is no latency
+        slow[row] = slow[row - 1] + share * (whole.velocity[row] - slow[row - 1])
+    flight = sf.Flight(time=whole.time, position=whole.position, velocity=slow, vehicle=VEHICLE)
+    found = sf.Estimator(free="auto").estimate(flight)
+    assert found.status != "ok" or found.mean_velocity == pytest.approx(15.43, rel=0.02)
 
 
 def test_how_precise_an_answer_must_be_is_a_setting():

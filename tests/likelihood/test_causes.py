@@ -7,7 +7,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.likelihood.causes import FREEDOMS
-from sparsefit.likelihood.diagnosis import diagnose, fitted, gains_of
+from sparsefit.likelihood.diagnosis import diagnose, fitted, gains_of, plausible
 from sparsefit.likelihood.goodness import Constancy, explained
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
@@ -45,6 +45,24 @@ def test_the_score_of_a_cause_is_what_freeing_it_gains():
         bare = np.sqrt(np.diag(np.linalg.inv(freed.information)))
         errors = [bare[freed.names.index(own)] for own in names]
         assert gain.error == pytest.approx(errors, rel=0.1), name
+        before, after = posterior.model.pattern, freed.model.pattern
+        speeds = after.mean_velocity / before.mean_velocity - 1
+        assert gain.moves[0] == pytest.approx(speeds, rel=0.2, abs=1e-4), name
+        assert gain.moves[1] == pytest.approx(
+            after.length_scale / before.length_scale - 1, rel=0.2, abs=1e-4
+        ), name
+
+
+def test_sizes_that_cannot_be_are_no_causes():
+    _, posterior = posterior_of(flight_of())
+    assert plausible(posterior, posterior)
+    for name, value in (
+        *(("response_time", 4 * TAU), ("velocity_scale", 0.2), ("wind_x", 1e3), ("latency", 3.0)),
+        *(("lag", 2 * TAU), ("mass_rate", -1.0), ("quadratic_drag", -1.0)),
+    ):
+        model = posterior.model.at({name: value})
+        legs = (replace(posterior.legs[0], model=model),)
+        assert not plausible(replace(posterior, legs=legs), posterior), name
 
 
 def test_nothing_is_named_where_nothing_is_wrong():
