@@ -7,7 +7,8 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.likelihood.causes import FREEDOMS
-from sparsefit.likelihood.diagnosis import diagnose, fitted, gains_of, plausible
+from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
+from sparsefit.likelihood.gains import gains_of
 from sparsefit.likelihood.goodness import Constancy, explained
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog

@@ -1,0 +1,91 @@
+"""Score tests of elements that are known: the gain of freeing them, to second order (Rao 1948)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sparsefit.arrays import Array
+from sparsefit.likelihood.posterior import Posterior
+
+SEEN = 1e-9  # the least eigenvalue of the scaled information of a direction that is seen
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """The gain of freeing a group of elements, to second order.
+
+    Args:
+        gain: 2 ln(likelihood ratio).
+        step: of the elements (g,), everything else that is free moving along.
+        error: their standard errors (g,).
+        moves: the shares by which U0 and L move with the step.
+    """
+
+    gain: float
+    step: Array
+    error: Array
+    moves: tuple[float, float] = (0.0, 0.0)
+
+
+def gains_of(
+    posterior: Posterior, groups: dict[str, tuple[str, ...]]
+) -> dict[tuple[str, int], Gain]:
+    """Score tests of groups of elements from one forward pass at an optimum.
+
+    Args:
+        posterior: the optimum.
+        groups: names of elements that are not free.
+
+    Returns:
+        Gains by the name of a group and the number of the flight, from 1, whose own elements they
+        are; 0 of one flight alone, and of what all flights share.
+    """
+    local = posterior.model.names
+    members = dict.fromkeys(own for group in groups.values() for own in group)
+    names, score, information = posterior.scores([own for own in members if own not in local])
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled, b = information / size[:, None] / size, score / size
+    base = [place for place, name in enumerate(names) if name.partition("@")[0] in local]
+    along = np.linalg.lstsq(scaled[np.ix_(base, base)], scaled[base], rcond=1e-12)[0]
+    efficient, free = b - along.T @ b[base], scaled - along.T @ scaled[base]
+    gains = {}
+    for group, elements in groups.items():
+        for flight in range(1, len(posterior.legs) + 1):
+            suffix = f"@{flight}" if flight > 1 else ""
+            if not elements or f"{elements[0]}{suffix}" not in names:
+                continue
+            added = [names.index(f"{own}{suffix}") for own in elements]
+            rest = free[np.ix_(added, added)]
+            roots, axes = np.linalg.eigh(0.5 * (rest + rest.T))
+            roots, axes = roots[roots > SEEN], axes[:, roots > SEEN]
+            along_axes = axes.T @ efficient[added]
+            step = axes @ (along_axes / roots) / size[added]
+            error = np.sqrt(np.sum(axes**2 / roots, axis=1)) / size[added]
+            own_flight = flight if f"{elements[0]}@2" in names else 0
+            moved = -(along[:, added] @ (step * size[added])) / size[base]
+            ahead = dict(zip((names[place] for place in base), moved.tolist(), strict=True))
+            gains[group, own_flight] = Gain(
+                float(np.sum(along_axes**2 / roots)), step, error, _moves(posterior, ahead)
+            )
+    return gains
+
+
+def _moves(posterior: Posterior, steps: dict[str, float]) -> tuple[float, float]:
+    """The shares by which U0 and L move with steps of the free parameters, to first order."""
+    pattern, nudge = posterior.model.pattern, 1e-6
+    values = zip(pattern.names, pattern.values, strict=True)
+    moved = replace(
+        pattern, values=tuple(value + nudge * steps.get(name, 0.0) for name, value in values)
+    )
+    speeds = moved.mean_velocity / pattern.mean_velocity
+    lengths = moved.length_scale / pattern.length_scale
+    return (speeds - 1.0) / nudge, (lengths - 1.0) / nudge
+
+
+def chance_of(gain: float, freedom: int) -> float:
+    """The probability that chi^2 of so many degrees exceeds a gain (Wilks 1938)."""
+    from scipy.special import chdtrc
+
+    return float(chdtrc(freedom, max(gain, 0.0)))
