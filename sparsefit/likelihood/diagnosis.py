@@ -198,7 +198,7 @@ def diagnose(
     if posterior is start:  # gains are those of the last round, in which nothing was found
         hints = [
             own.moves for own in gains.values()
-            if tests * chance_of(own.gain, len(own.step)) < HINT
+            if FALSE_ALARM <= tests * chance_of(own.gain, len(own.step)) < HINT
         ]  # fmt: skip
         shares = tuple(np.max([shares, *np.abs(hints).tolist()], axis=0).tolist())
     return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
@@ -392,20 +392,25 @@ def with_process(models: Sequence[Model], process: Process) -> tuple[Model, ...]
 
 
 def plausible(there: Posterior, believed: Posterior) -> bool:
-    """Whether vehicle and instruments are such as may be, beside what they are believed to be."""
+    """Whether vehicle and instruments are such as may be, beside what they are believed to be.
+
+    Sizes of what was free from the start are what they are.
+    """
     for leg, before in zip(there.legs, believed.models, strict=True):
         now, was, half = leg.model.values, before.values, 0.5 * float(np.ptp(leg.log.time))
-        sizes = [
-            *(abs(math.log(now[name] / was[name])) / math.log(FACTOR) if now[name] > 0 else math.inf
-              for name in ("response_time", "thrust_scale", "position_scale", "velocity_scale")),
-            *(abs(now[name]) / leg.log.speed
-              for name in ("wind_x", "wind_y", "velocity_bias_x", "velocity_bias_y")),
-            *(abs(now[name]) * half for name in ("mass_rate", "growth")),
-            abs(now["lag"]) / now["response_time"],
-            abs(now["latency"]) / (LATEST * half),
-            -now["quadratic_drag"] * leg.log.speed,
-        ]  # fmt: skip
-        if max(sizes) > 1.0:
+        speed, changes = leg.log.speed, {name: abs(value) for name, value in now.items()}
+        scales = ("response_time", "thrust_scale", "position_scale", "velocity_scale")
+        sizes = {
+            name: abs(math.log(now[name] / was[name])) / math.log(FACTOR) if now[name] > 0 else 2.0
+            for name in scales
+        }
+        for name in ("wind_x", "wind_y", "velocity_bias_x", "velocity_bias_y"):
+            sizes[name] = changes[name] / speed
+        sizes |= {name: changes[name] * half for name in ("mass_rate", "growth")}
+        sizes |= {"lag": changes["lag"] / now["response_time"]}
+        sizes |= {"latency": changes["latency"] / (LATEST * half)}
+        sizes |= {"quadratic_drag": -now["quadratic_drag"] * speed}
+        if any(size > 1.0 for name, size in sizes.items() if name not in before.names):
             return False
     return True
 
