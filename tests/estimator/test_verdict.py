@@ -126,7 +126,7 @@ def test_still_air_flown_slowly_with_noisy_instruments_is_no_flow():
 
 
 @pytest.mark.parametrize("late", [-0.2, 0.2])
-def test_a_latency_that_hides_the_flow_is_named(late):
+def test_a_large_latency_is_named_or_freed(late):
     whole = flown(rate=50.0, duration=20.0, seed=3, velocity_noise=0.2, position_noise=0.05)
     shift = round(late * 50)
     there, then = (slice(10, -10), slice(10 - shift, len(whole.time) - 10 - shift))
@@ -135,18 +135,16 @@ def test_a_latency_that_hides_the_flow_is_named(late):
         vehicle=VEHICLE,
     )  # fmt: skip
     found = estimate(flight)
-    assert found.status == "misfit"
-    words = (
-        "the logged position seems late, by" if late > 0 else "the logged velocity seems late, by"
-    )
-    assert words in found.reason
-    milliseconds = float(found.reason.split(words)[1].split(" ms")[0])
-    assert milliseconds == pytest.approx(200, abs=40)
-    freed = sf.Estimator(free="auto").estimate(flight)
-    if freed.status == "ok":
-        assert freed.mean_velocity == pytest.approx(15.43, rel=0.01)
-    else:  # rows of a position and a velocity so far apart do not always show the flow
-        assert freed.status == "misfit"
+    if found.status == "ok":  # with the latency freed, which moves the flow by nothing
+        assert found.freed == ("latency",)
+        assert found.mean_velocity == pytest.approx(15.43, rel=0.01)
+    else:
+        words = f"the logged {'position' if late > 0 else 'velocity'} seems late, by"
+        assert (found.status, words in found.reason) == ("misfit", True)
+        milliseconds = float(found.reason.split(words)[1].split(" ms")[0])
+        assert milliseconds == pytest.approx(200, abs=40)
+    freed = sf.Estimator(free="auto").estimate(flight)  # rows so far apart may not show the flow
+    assert freed.status == "misfit" or freed.mean_velocity == pytest.approx(15.43, rel=0.01)
 
 
 def test_causes_beside_which_something_wanders_are_not_believed():
