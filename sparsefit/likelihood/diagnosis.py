@@ -400,14 +400,15 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
         now, was, half = leg.model.values, before.values, 0.5 * float(np.ptp(leg.log.time))
         speed, changes = leg.log.speed, {name: abs(value) for name, value in now.items()}
         scales = ("response_time", "thrust_scale", "position_scale", "velocity_scale")
+        ratios = {name: now[name] / was[name] for name in scales if name not in before.names}
         sizes = {
-            name: abs(math.log(now[name] / was[name])) / math.log(FACTOR) if now[name] > 0 else 2.0
-            for name in scales
+            name: abs(math.log(ratio)) / math.log(FACTOR) if ratio > 0.0 else math.inf
+            for name, ratio in ratios.items()
         }
         for name in ("wind_x", "wind_y", "velocity_bias_x", "velocity_bias_y"):
             sizes[name] = changes[name] / speed
         sizes |= {name: changes[name] * half for name in ("mass_rate", "growth")}
-        sizes |= {"lag": changes["lag"] / now["response_time"]}
+        sizes |= {"lag": changes["lag"] / abs(now["response_time"])}
         sizes |= {"latency": changes["latency"] / (LATEST * half)}
         sizes |= {"quadratic_drag": -now["quadratic_drag"] * speed}
         if any(size > 1.0 for name, size in sizes.items() if name not in before.names):

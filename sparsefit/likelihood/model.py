@@ -8,7 +8,7 @@
 m is the thrust acceleration of the log [m/s^2], t counts from its middle. Every quantity in these
 lines is an element (`ELEMENTS`); the passes know the derivative by each of them, and the free
 parameters of a model are chained to the elements by one Jacobian. An element may also walk about
-its value, as a state: turbulence is a wind that does, a swell a gain, a Gauss-Markov error of
+its value, as a state: gusts are a wind that does, a swell a gain, a Gauss-Markov error of
 position a bias.
 """
 

@@ -64,6 +64,9 @@ def test_sizes_that_cannot_be_are_no_causes():
         model = posterior.model.at({name: value})
         legs = (replace(posterior.legs[0], model=model),)
         assert not plausible(replace(posterior, legs=legs), posterior), name
+    model = posterior.model.free("response_time").at({"response_time": -TAU})
+    free = replace(posterior, legs=(replace(posterior.legs[0], model=model),))
+    assert plausible(free, free)  # what was free from the start has the size that it has
 
 
 def test_nothing_is_named_where_nothing_is_wrong():
