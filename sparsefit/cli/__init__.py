@@ -18,7 +18,7 @@ from sparsefit.cli import (
     verb_simulate,
     verb_study,
 )
-from sparsefit.cli.options import Answer, Option, Parser, declare, print_help, verb
+from sparsefit.cli.options import Reply, Option, Parser, declare, print_help, verb
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 from sparsefit.whole_file import REMEDIES
 
@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args, extra = parser().parse_known_args(argv)
         if extra:
             args.parser.unrecognized(extra)
-        answer: Answer = args.run(args)
+        answer: Reply = args.run(args)
         if getattr(args, "json", False):
             print(json.dumps(answer.record, indent=2, allow_nan=False, ensure_ascii=False))
         else:
@@ -86,13 +86,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     return answer.code
 
 
-def completion(args: argparse.Namespace) -> Answer:
+def completion(args: argparse.Namespace) -> Reply:
     """Print a script that completes verbs and options in a shell."""
     try:
         import shtab
     except ImportError:
         raise MissingExtra("completion needs shtab: pip install 'sparsefit[completion]'") from None
-    return Answer({}, [shtab.complete(parser(), args.shell)])
+    return Reply({}, [shtab.complete(parser(), args.shell)])
 
 
 def _refused(error: BaseException) -> int:

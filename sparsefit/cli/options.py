@@ -16,7 +16,7 @@ Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 Value: TypeAlias = bool | int | float | str
 
 
-class Answer(NamedTuple):
+class Reply(NamedTuple):
     """The outcome of a verb: a JSON-ready record, lines that say it, and the exit code."""
 
     record: Any
@@ -24,7 +24,7 @@ class Answer(NamedTuple):
     code: int = 0
 
 
-Run: TypeAlias = Callable[[argparse.Namespace], Answer]
+Run: TypeAlias = Callable[[argparse.Namespace], Reply]
 
 
 class Parser(argparse.ArgumentParser):
@@ -126,9 +126,9 @@ def verb(verbs: Verbs, name: str, run: Run, example: str, summary: str = "") -> 
     return parser
 
 
-def print_help(args: argparse.Namespace) -> Answer:
+def print_help(args: argparse.Namespace) -> Reply:
     """Print the help of a verb that was given without an action."""
-    return Answer({}, [args.parser.format_help().rstrip("\n")])
+    return Reply({}, [args.parser.format_help().rstrip("\n")])
 
 
 def number(unit: str = "") -> Callable[[str], float]:

@@ -8,7 +8,7 @@ from typing import Any
 from sparsefit.cli.options import (
     JSON,
     SETTING,
-    Answer,
+    Reply,
     Option,
     Verbs,
     collected,
@@ -48,7 +48,7 @@ def add(verbs: Verbs) -> None:
         declare(action, (*options, below))
 
 
-def run_list(args: argparse.Namespace) -> Answer:
+def run_list(args: argparse.Namespace) -> Reply:
     """List the back-ends, plug-ins included, with their settings and defaults."""
     from sparsefit import backends
     from sparsefit.solvers.conic import installed_solvers
@@ -78,7 +78,7 @@ def run_list(args: argparse.Namespace) -> Answer:
     lines.append(f"other solvers: {', '.join(o.name for o in others if not o.missing)}")
     lines += [f"  missing: {other.missing}" for other in others if other.missing]
     every = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
-    return Answer(every, lines)
+    return Reply(every, lines)
 
 
 def _record(name: str) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def _record(name: str) -> dict[str, Any]:
     }
 
 
-def run_check(args: argparse.Namespace) -> Answer:
+def run_check(args: argparse.Namespace) -> Reply:
     """Run a back-end on a small flight whose answer is known; a plug-in must keep the contract."""
     from sparsefit import backends
     from sparsefit.study.worker import in_child
@@ -116,7 +116,7 @@ def run_check(args: argparse.Namespace) -> Answer:
             named = "" if args.name in str(error) else f"back-end {args.name!r} "
             raise InputError(f"{named}{error}") from None
     answer = {key: value for key, value in record.items() if key != "lines"}
-    return Answer(answer, record["lines"], int(record["status"] != "ok" or bool(record["faults"])))
+    return Reply(answer, record["lines"], int(record["status"] != "ok" or bool(record["faults"])))
 
 
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimator_file import ALL, estimator_of
-from sparsefit.cli.options import FORCE, JSON, Answer, Option, Verbs, declare, number, verb
+from sparsefit.cli.options import FORCE, JSON, Reply, Option, Verbs, declare, number, verb
 from sparsefit.cli.terminal import check_output
 from sparsefit.errors import InputError, one_line, told_with
 from sparsefit.whole_file import write_whole
@@ -74,7 +74,7 @@ def add(verbs: Verbs) -> None:
     declare(vehicle, VEHICLE.values())
 
 
-def run(args: argparse.Namespace) -> Answer:
+def run(args: argparse.Namespace) -> Reply:
     """Estimate mean velocity, length scale and timescale from a flight, or several."""
     from sparsefit.cli.printed import lines
 
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> Answer:
     said = lines(logs, estimate, estimator.library.unknown)
     if estimate.status != "ok" and not sys.stdout.isatty():  # there it has just been read
         print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
-    return Answer(estimate.to_dict() | read, said, int(estimate.status != "ok"))
+    return Reply(estimate.to_dict() | read, said, int(estimate.status != "ok"))
 
 
 def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:

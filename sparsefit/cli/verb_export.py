@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from sparsefit.cli.estimator_file import read_estimator
-from sparsefit.cli.options import Answer, Option, Verbs, declare, verb
+from sparsefit.cli.options import Reply, Option, Verbs, declare, verb
 from sparsefit.cli.terminal import check_folder
 from sparsefit.errors import one_line
 from sparsefit.whole_file import write_whole
@@ -31,7 +31,7 @@ def add(verbs: Verbs) -> None:
     declare(verb(verbs, "export", run, EXAMPLE), OPTIONS)
 
 
-def run(args: argparse.Namespace) -> Answer:
+def run(args: argparse.Namespace) -> Reply:
     """Write an estimator as C99: no heap, bounded work, with a test that replays a flight."""
     from sparsefit.logs import read_flight
     from sparsefit.onboard.c_source import package
@@ -53,4 +53,4 @@ def run(args: argparse.Namespace) -> Answer:
         f"       {grid.lower:g} to {grid.upper:g} m, {real}",
         *(line[4:] for line in readme if line[4:8] in costs),
     ]
-    return Answer({}, lines)
+    return Reply({}, lines)

@@ -12,7 +12,7 @@ from sparsefit.cli.options import (
     FORCE,
     JSON,
     RESULTS,
-    Answer,
+    Reply,
     Option,
     Verbs,
     declare,
@@ -64,7 +64,7 @@ def add(verbs: Verbs) -> None:
     declare(parser, RUN)
 
 
-def run(args: argparse.Namespace) -> Answer:
+def run(args: argparse.Namespace) -> Reply:
     """Choose one estimator from a finished study, and write it and the evidence."""
     check_output(args.output, force=args.force)
     from sparsefit.study import evidence
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> Answer:
     lines = (f"- {line}" for line in evidence.lines(selection, checked))
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
     said = [evidence.headline(selection), *lines, closing, usage]
-    return Answer(record, said, int(chosen is None))
+    return Reply(record, said, int(chosen is None))
 
 
 def _ran(study: Study, args: argparse.Namespace) -> Study:

@@ -12,7 +12,7 @@ from typing import Any
 
 from sparsefit.cli.options import (
     FORCE,
-    Answer,
+    Reply,
     Option,
     Verbs,
     declare,
@@ -79,7 +79,7 @@ class OptionPlace(Place):
         return InputError(f"--{self.key.replace('_', '-')} {problem}" if self.key else problem)
 
 
-def run(args: argparse.Namespace) -> Answer:
+def run(args: argparse.Namespace) -> Reply:
     """Simulate a flight through cells, in turbulence too, and write it to a file."""
     from numpy.random import SeedSequence
 
@@ -105,4 +105,4 @@ def run(args: argparse.Namespace) -> Answer:
         speed, scale = values["mean_velocity"], values["length_scale"]
         through = f"a flow of {speed:g} m/s and {scale:g} m ({scale / speed:.3g} s)"
     words = f"{flight.samples} samples over {flight.duration:g} s, {flight.extent:.3g} m across"
-    return Answer({}, [f"{one_line(args.output)}: {words}, in {through}"])
+    return Reply({}, [f"{one_line(args.output)}: {words}, in {through}"])

@@ -13,7 +13,7 @@ from sparsefit.cli.options import (
     FORCE,
     JSON,
     RESULTS,
-    Answer,
+    Reply,
     Option,
     Verbs,
     declare,
@@ -147,7 +147,7 @@ def _checked(args: argparse.Namespace) -> Study:
     return study
 
 
-def check(args: argparse.Namespace) -> Answer:
+def check(args: argparse.Namespace) -> Reply:
     """Check a study file, and say on one line what it plans."""
     study = _checked(args)
     cases = study.planned.size
@@ -155,10 +155,10 @@ def check(args: argparse.Namespace) -> Answer:
     kind = "" if study.kind == "flights" else f" of {study.kind}"
     heading = f"{args.study}: ok, study {study.name}{kind} plans {cases} cases"
     missing = [f"  missing: {name}: {reason}" for name, reason in study.missing.items()]
-    return Answer(record, [heading, *missing])
+    return Reply(record, [heading, *missing])
 
 
-def plan(args: argparse.Namespace) -> Answer:
+def plan(args: argparse.Namespace) -> Reply:
     """Count what a study will do and write."""
     study = read_study(args)
     record = {"study": study.name, "question": study.question, **study.counts()}
@@ -171,20 +171,20 @@ def plan(args: argparse.Namespace) -> Answer:
             rows.append((name, one_line(words, terminal_width())))
         else:
             rows.append((name, str(value)))
-    return Answer(record, rows_of(rows))
+    return Reply(record, rows_of(rows))
 
 
-def keys(args: argparse.Namespace) -> Answer:
+def keys(args: argparse.Namespace) -> Reply:
     """List the keys of a study file, with their units, ranges and defaults."""
     from sparsefit.study.definition import keys_of
     from sparsefit.study.keys import OWN
 
     record = {name: keys_of(name) for name in ([args.section] if args.section else OWN)}
     parts = ("\n".join([f"[{name}]", *rows_of(words.items())]) for name, words in record.items())
-    return Answer(record, ["\n\n".join(parts)])
+    return Reply(record, ["\n\n".join(parts)])
 
 
-def run_study(args: argparse.Namespace) -> Answer:
+def run_study(args: argparse.Namespace) -> Reply:
     """Run a study, or go on with one that was stopped."""
     from sparsefit.study import page
 
@@ -224,7 +224,7 @@ def run_study(args: argparse.Namespace) -> Answer:
     else:
         rest = "run without --only for the rest, and the report"
         lines.append(f"{summary.done} of {summary.planned} cases are there: {rest}")
-    return Answer(record, lines)
+    return Reply(record, lines)
 
 
 def _tell_stale(state: RunSummary) -> None:
@@ -243,7 +243,7 @@ def _by_status(statuses: Mapping[str, int]) -> str:
     return ", ".join(f"{statuses[name]} {coloured(name)}" for name in order) or "none"
 
 
-def status(args: argparse.Namespace) -> Answer:
+def status(args: argparse.Namespace) -> Reply:
     """Tell how far a study is, also while it runs."""
     study = read_study(args)
     state = study.status()
@@ -253,10 +253,10 @@ def status(args: argparse.Namespace) -> Answer:
     words = "finished" if state.finished else "not finished" if state.done else "not begun"
     counted = f"{state.done} of {state.planned} cases ({_by_status(state.statuses)})"
     _tell_stale(state)
-    return Answer(record, [f"{study.name}: {words}, {counted} in {state.folder}"])
+    return Reply(record, [f"{study.name}: {words}, {counted} in {state.folder}"])
 
 
-def errors(args: argparse.Namespace) -> Answer:
+def errors(args: argparse.Namespace) -> Reply:
     """List the cases that are not ok, grouped by candidate, status and reason."""
     study, state = stored(args, whole=False)
     cases = study.cases
@@ -276,10 +276,10 @@ def errors(args: argparse.Namespace) -> Answer:
         status, label, reason, case = (one_line(str(group[name])) for name in names)
         lines += [f"\n{group['cases']} x {coloured(status)}, {label}"]
         lines += [f"  {reason or 'no reason given'}", f"  first case: {case}"]
-    return Answer({"study": study.name, "done": state.done, "groups": groups}, lines)
+    return Reply({"study": study.name, "done": state.done, "groups": groups}, lines)
 
 
-def show(args: argparse.Namespace) -> Answer:
+def show(args: argparse.Namespace) -> Reply:
     """Print the tables of a study, also unfinished; or run one case again."""
     if args.case is not None:
         return _show_case(args)
@@ -288,13 +288,13 @@ def show(args: argparse.Namespace) -> Answer:
     study, _ = stored(args, whole=False)
     cases, width = study.cases, terminal_width()
     if not args.table and not args.json:
-        return Answer({}, [page.show(study, cases, width=width).rstrip("\n")])
+        return Reply({}, [page.show(study, cases, width=width).rstrip("\n")])
     made = tables.tables(study, cases, tuple(args.table))
     texts = (table.to_text(width) for table in made.values())
-    return Answer({name: table.record() for name, table in made.items()}, texts)
+    return Reply({name: table.record() for name, table in made.items()}, texts)
 
 
-def _show_case(args: argparse.Namespace) -> Answer:
+def _show_case(args: argparse.Namespace) -> Reply:
     """Run one case again, write its picture, and print its numbers beside the stored ones."""
     from sparsefit.study.page import write_case
 
@@ -308,20 +308,20 @@ def _show_case(args: argparse.Namespace) -> Answer:
     table = write_case(study, args.case, flown)
     record = {"case": args.case, "picture": flown and str(flown), **table.record()}
     written = [f"written to {flown}"] if flown else []
-    return Answer(record, [table.to_text(terminal_width()), *written])
+    return Reply(record, [table.to_text(terminal_width()), *written])
 
 
-def report(args: argparse.Namespace) -> Answer:
+def report(args: argparse.Namespace) -> Reply:
     """Write tables, figures and report again from the stored cases."""
     from sparsefit.study import page
 
     study, state = stored(args, whole=True)
     _tell_stale(state)
     written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
-    return Answer({"headline": headline, "written": written}, filter(None, [headline, *written]))
+    return Reply({"headline": headline, "written": written}, filter(None, [headline, *written]))
 
 
-def compare(args: argparse.Namespace) -> Answer:
+def compare(args: argparse.Namespace) -> Reply:
     """Hold two runs of a study against each other, case by case; exit 1 where any differs."""
     from sparsefit.study import compare as comparing
     from sparsefit.study.export import read_cases
@@ -338,10 +338,10 @@ def compare(args: argparse.Namespace) -> Answer:
     both = comparing.compare(first, second, names, tolerance)
     tables = (table for table in both.tables.values() if len(table.frame))
     lines = [*(table.to_text(terminal_width()) for table in tables), both.sentence]
-    return Answer(both.record(), lines, int(both.differs))
+    return Reply(both.record(), lines, int(both.differs))
 
 
-def merge(args: argparse.Namespace) -> Answer:
+def merge(args: argparse.Namespace) -> Reply:
     """Bring parts of a study together that were run in several places."""
     from sparsefit.study import page
 
@@ -356,4 +356,4 @@ def merge(args: argparse.Namespace) -> Answer:
     lines.append(f"{now.folder}: {now.done} of {now.planned} cases, {state}")
     parts = [{**asdict(part), "folder": str(part.folder)} for part in merged]
     record = {"study": study.name, "folder": str(now.folder), "planned": now.planned}
-    return Answer(record | {"done": now.done, "parts": parts}, lines)
+    return Reply(record | {"done": now.done, "parts": parts}, lines)
