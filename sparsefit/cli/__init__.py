@@ -18,7 +18,7 @@ from sparsefit.cli import (
     verb_simulate,
     verb_study,
 )
-from sparsefit.cli.options import Reply, Option, Parser, declare, print_help, verb
+from sparsefit.cli.options import Option, Parser, Reply, declare, print_help, verb
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 from sparsefit.whole_file import REMEDIES
 

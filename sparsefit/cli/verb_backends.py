@@ -8,8 +8,8 @@ from typing import Any
 from sparsefit.cli.options import (
     JSON,
     SETTING,
-    Reply,
     Option,
+    Reply,
     Verbs,
     collected,
     declare,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimator_file import ALL, estimator_of
-from sparsefit.cli.options import FORCE, JSON, Reply, Option, Verbs, declare, number, verb
+from sparsefit.cli.options import FORCE, JSON, Option, Reply, Verbs, declare, number, verb
 from sparsefit.cli.terminal import check_output
 from sparsefit.errors import InputError, one_line, told_with
 from sparsefit.whole_file import write_whole

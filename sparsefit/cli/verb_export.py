@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from sparsefit.cli.estimator_file import read_estimator
-from sparsefit.cli.options import Reply, Option, Verbs, declare, verb
+from sparsefit.cli.options import Option, Reply, Verbs, declare, verb
 from sparsefit.cli.terminal import check_folder
 from sparsefit.errors import one_line
 from sparsefit.whole_file import write_whole

@@ -12,8 +12,8 @@ from typing import Any
 
 from sparsefit.cli.options import (
     FORCE,
-    Reply,
     Option,
+    Reply,
     Verbs,
     declare,
     number,
