@@ -112,6 +112,10 @@ def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
     if missing := {"theta", "target"} - set(shapes):
         there = ", ".join(sorted(shapes)[:8]) or "nothing"
         raise InputError(f"{path}: holds no {min(missing)}, but {there}: it needs both")
+    columns = shapes["theta"][-1:]
+    if not 0 < len(truth := shapes.get("truth", columns)) < 3 or truth[:1] != columns:
+        words = f"truth is {truth}: it needs a value, or a row of them, a column: {columns}"
+        raise InputError(f"{path}: {words}")
     if (values := sum(map(math.prod, shapes.values()))) > MOST_VALUES:
         words = f"holds {values} numbers, more than {MOST_VALUES}"
         raise InputError(f"{path}: {words}: take fewer samples or columns")
@@ -123,8 +127,9 @@ def read_data(path: Path) -> Data:
     shapes_of(path)
     with _refused(path), np.load(path, allow_pickle=False) as arrays:
         content = {name: np.asarray(arrays[name]) for name in arrays}
-    truth = content["truth"].astype(bool) if "truth" in content else None
-    return Data(content["theta"], content["target"], content.get("groups"), truth)
+    truth = content.get("truth")  # weights (k,) or (k, n), or which columns are not zero
+    used = None if truth is None else (truth.reshape(len(truth), -1) != 0.0).any(axis=1)
+    return Data(content["theta"], content["target"], content.get("groups"), used)
 
 
 def digest_of(path: Path) -> str:

@@ -312,6 +312,18 @@ def test_each_repeat_is_the_same_problem_in_other_bytes(tmp_path):
     assert part_of(rows, (2, 29), 0).theta.tolist() == rows.theta[[0, 1, 29]].tolist()
 
 
+@pytest.mark.parametrize("targets", [(), (1,), (2,)])
+def test_truth_in_a_file_is_weights_or_which_columns_are_used(tmp_path, targets):
+    arrays = {"theta": np.eye(5, 4), "target": np.ones(5)}
+    truth = np.zeros((4, *targets))
+    truth[[1, 3]] = [-0.5, 2.0] if not targets else 0.5
+    np.savez(tmp_path / "a.npz", **arrays, truth=truth)
+    assert read_data(tmp_path / "a.npz").truth.tolist() == [False, True, False, True]
+    np.savez(tmp_path / "b.npz", **arrays, truth=truth[:3])
+    with pytest.raises(InputError, match=r"b.npz: truth is \(3,.* a column: \(4,\)"):
+        read_data(tmp_path / "b.npz")
+
+
 def test_held_out_errors_by_hand():
     errors = np.array([[4.0, 1.0], [2.0, 3.0], [2.0, 1.0]])
     told = cross_validated(errors, np.array([10.0, 10.0, 10.0]))
