@@ -20,8 +20,25 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
+    "matplotlib.sphinxext.plot_directive",
     "directives",
 ]
+# Pictures are drawn when the page is built, from the top of the repository.
+plot_formats = ["svg"]
+plot_html_show_formats = plot_html_show_source_link = False
+plot_working_directory = str(HERE.parent)
+plot_apply_rcparams = True
+plot_rcparams = {
+    "font.size": 10.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "sparsefit",
+    "font.family": "sans-serif",
+    "figure.constrained_layout.use": True,
+    "savefig.facecolor": "white",
+    "savefig.bbox": "tight",
+}
 exclude_patterns = ["_ext", "_static", "_templates", "pictures"]
 templates_path = ["_templates"]
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]

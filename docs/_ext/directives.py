@@ -2,18 +2,16 @@
 
 `{results} STUDY/TABLE` rows and columns of a CSV file in results/, `{answers}` the question and the
 sentence of every study, the role `{measured}` one figure of a table, held against what the sentence
-around it claims; `{picture} NAME` a drawing of docs/pictures/, `{study-keys} SECTION` the keys of a
-study file, `{study-names} KIND` names that [outputs] takes, `{backend-settings}` and `{commands}`
-what the package offers. READMEs of studies and public names of rooms become pages.
+around it claims; `{study-keys} SECTION` the keys of a study file, `{study-names} KIND` names that
+[outputs] takes, `{backend-settings}` and `{commands}` what the package offers. READMEs of studies
+become pages.
 """
 
 from __future__ import annotations
 
 import argparse
-import ast
 import inspect
 import re
-import runpy
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
@@ -24,9 +22,11 @@ from typing import Any, ClassVar
 import pandas as pd
 from docutils import nodes
 from docutils.parsers.rst import directives
+from docutils.parsers.rst.states import Inliner
 from docutils.statemachine import StringList
 from docutils.utils.math import latex2mathml
 from sphinx.application import Sphinx
+from sphinx.ext.napoleon import GoogleDocstring
 from sphinx.util.docutils import SphinxDirective
 
 from sparsefit import backends
@@ -37,23 +37,6 @@ from sparsefit.study.resampling import SUMMARY_NAMES
 DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"
 README = re.compile(r"\]\(\.\./results/([a-z0-9_-]+)/README\.md\)")
-BAR = re.compile(r"(``[^`]*``)|\|")
-ROOMS = {  # a page of public names each: its title, and the modules, some with their names
-    "flights": ("Flights and flows", (
-        "flight", "flight.vehicle: PointMassVehicle", "flows", "logs")),
-    "estimates": ("Estimates", ("estimator", "rows", "model", "likelihood")),
-    "onboard": ("On board", ("onboard",)),
-    "regression": ("Regression", ("regression", "backends", "penalties", "solvers.registry")),
-    "adapters": ("scikit-learn and PySINDy", ("sklearn", "pysindy")),
-    "studies": ("Studies and pictures", (
-        "study.study: Study", "plot", "score: score, score_scales, prediction_error",
-        "errors: SparsefitError, InputError, MissingExtra")),
-}  # fmt: skip
-STYLE = {
-    "font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False,
-    "svg.fonttype": "none", "svg.hashsalt": "sparsefit", "font.family": "sans-serif",
-    "figure.constrained_layout.use": True, "savefig.facecolor": "white",
-}  # fmt: skip
 
 
 def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
@@ -166,8 +149,8 @@ def backend_settings(_: str, options: Mapping[str, str]) -> list[str]:
     lines: list[str] = []
     for name in backends.known():
         kind = backends.load(name)
-        doc = BAR.sub(lambda found: found[1] or r"\|", inspect.getdoc(kind) or "")
-        lines += [f"### `{name}`", "", "````{eval-rst}", *doc.splitlines(), "````", ""]
+        doc = (inspect.getdoc(kind) or "").splitlines()
+        lines += [f"### `{name}`", "", "````{eval-rst}", *doc, "````", ""]
         settings = [f"`{item.name} = {item.default!r}`" for item in fields(kind) if item.init]
         lines += [f"Settings: {', '.join(settings) or 'none'}.", ""]
     return lines
@@ -187,43 +170,16 @@ def commands(_: str, options: Mapping[str, str]) -> list[str]:
     return list(verbs("sparsefit", parser(), "##"))
 
 
-def picture(name: str, options: Mapping[str, str]) -> list[str]:
-    """A picture, what it shows, and how it is drawn."""
-    source = DOCS / "pictures" / f"{name}.py"
-    text = source.read_text("utf-8")
-    title, _, words = (ast.get_docstring(ast.parse(text)) or "").partition("\n")
-    image = Path(options["outdir"]) / "_drawn" / f"{name}.svg"
-    if not image.exists():
-        import matplotlib
-
-        matplotlib.use("Agg")
-        from matplotlib import pyplot
-
-        image.parent.mkdir(parents=True, exist_ok=True)
-        with matplotlib.rc_context(STYLE):
-            runpy.run_path(str(source))
-            pyplot.savefig(image, bbox_inches="tight")
-            pyplot.close("all")
-    shown = [f'<img class="drawn" src="_drawn/{image.name}" alt="{title}">', ""]
-    if "alone" in options:
-        return [*shown, title]
-    code = ["````{dropdown} How it is drawn", "```python", text.split('"""', 2)[2].strip()]
-    return [*shown, f"**{title}** {' '.join(words.split())}", "", *code, "```", "````"]
-
-
 def written(content: Callable[[str, Mapping[str, str]], list[str]]) -> type[SphinxDirective]:
     """A directive of the lines of Markdown that `content` gives of its argument and options."""
 
     class Written(SphinxDirective):
-        option_spec: ClassVar = dict.fromkeys(
-            ("columns", "names", "where", "alone"), directives.unchanged
-        )
+        option_spec: ClassVar = dict.fromkeys(("columns", "names", "where"), directives.unchanged)
         optional_arguments = 1
 
         def run(self) -> list[nodes.Node]:
-            argument, options = "".join(self.arguments), {"outdir": self.env.app.outdir}
             try:
-                lines = content(argument, {**options, **self.options})
+                lines = content("".join(self.arguments), self.options)
             except (OSError, KeyError, ValueError) as error:
                 raise self.error(str(error)) from None
             holder = nodes.section()
@@ -236,31 +192,17 @@ def written(content: Callable[[str, Mapping[str, str]], list[str]]) -> type[Sphi
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write a page for every study in `results/` and every room, in folders that git ignores."""
-    pages = {}
-    for page, (title, modules) in ROOMS.items():
-        text = f"# {title}\n"
-        for entry in modules:
-            module, _, names = entry.partition(": ")
-            room = import_module(f"sparsefit.{module}")
-            names = names or ", ".join(room.__all__)
-            for name in names.split(", "):  # of those that a room imports when they are first used
-                setattr(room, name, getattr(room, name))
-            members = f".. automodule:: sparsefit.{module}\n   :members: {names}"
-            text += f"\n## `sparsefit.{module}`\n\n````{{eval-rst}}\n{members}\n````\n"
-        pages[f"api/{page}"] = text
+    """Write a page for every study in `results/`, in a folder that git ignores."""
     for path in RESULTS.glob("*/README.md"):
         name = path.parent.name
         text = re.sub(r"^###", "##", path.read_text("utf-8"), flags=re.MULTILINE)
         text = re.sub(r"!\[([^\]]*)\]\(", rf"![\1](../../results/{name}/", text)
         text = re.sub(r"(?<!!)\[([^\]]*)\]\([\w.-]+\)", r"\1", text)  # files beside it are no pages
-        closing = f"The study is `studies/{name}.toml`, its files `results/{name}/`."
-        pages[f"studies/{name}"] = f"{text.rstrip()}\n\n{closing}\n"
-    for name, text in pages.items():
-        path = Path(app.srcdir) / f"{name}.md"
-        path.parent.mkdir(exist_ok=True)
-        if not path.exists() or path.read_text("utf-8") != text:
-            path.write_text(text, "utf-8")
+        text = f"{text}\nThe study is `studies/{name}.toml`, its files `results/{name}/`.\n"
+        page = DOCS / "studies" / f"{name}.md"
+        page.parent.mkdir(exist_ok=True)
+        if not page.exists() or page.read_text("utf-8") != text:
+            page.write_text(text, "utf-8")
 
 
 def link_pages(app: Sphinx, name: str, source: list[str]) -> None:
@@ -269,20 +211,18 @@ def link_pages(app: Sphinx, name: str, source: list[str]) -> None:
         source[0] = README.sub(r"](studies/\1.md)", source[0])
 
 
-PROPERTIES: dict[str, list[str]] = {}
+def load_names(app: Sphinx, name: str, source: list[str]) -> None:
+    """Import the names of the rooms of a page, which a room does when they are first used."""
+    for module in re.findall(r"automodule:: (\S+)", source[0]):
+        room = import_module(module)
+        for item in getattr(room, "__all__", ()):
+            setattr(room, item, getattr(room, item))
 
 
-def set_aside(app: Sphinx, what: str, name: str, value: object, options: object, lines) -> None:
-    """Keep properties from napoleon, which takes words before a colon for a type."""
-    if what in ("property", "attribute"):
-        PROPERTIES[name] = list(lines)
-        lines[:] = [""]
-
-
-def escape_bars(app: Sphinx, what: str, name: str, value: object, options: object, lines) -> None:
-    """Escape |w|, a size in docstrings, where reStructuredText sees a substitution."""
-    text = "\n".join(PROPERTIES.pop(name, lines))
-    lines[:] = BAR.sub(lambda found: found[1] or r"\|", text).split("\n")
+def a_bar(inliner: Inliner, match: re.Match[str], lineno: int):
+    """A bar as a letter: |w| is a size in docstrings, and no substitution."""
+    end = match.end("start")
+    return match.string[:end], [], match.string[end:], []
 
 
 def _math(block: bool):
@@ -296,14 +236,15 @@ def _math(block: bool):
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives, and formulas as MathML, for which nothing is fetched."""
-    every = (results, picture, study_names, backend_settings, answers, commands)
-    for content in every:
+    for content in (results, study_names, backend_settings, answers, commands):
         app.add_directive(content.__name__.replace("_", "-"), written(content))
     app.add_directive("study-keys", written(key_table))
     app.add_role("measured", measured_role)
     app.add_html_math_renderer("mathml", (_math(False), None), (_math(True), None))
     app.connect("builder-inited", write_pages)
     app.connect("source-read", link_pages)
-    app.connect("autodoc-process-docstring", set_aside, priority=400)
-    app.connect("autodoc-process-docstring", escape_bars, priority=600)
+    app.connect("source-read", load_names)
+    Inliner.dispatch = {**Inliner.dispatch, "|": a_bar}
+    # Napoleon takes the words before the first colon of a property for a type: here they are words.
+    GoogleDocstring._parse_attribute_docstring = GoogleDocstring._consume_to_end
     return {"parallel_read_safe": False, "parallel_write_safe": True}

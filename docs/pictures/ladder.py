@@ -1,8 +1,4 @@
-"""The ladder of shapes: which flow is it?
-From square cells along the axes the estimate climbs over cells of other headings, sides and
-motions. The shape of least BIC wins; here the cells are rectangular and drift. Any two drifting
-waves fit them as well, with more parameters, and lose.
-"""
+"""The ladder of shapes: which flow is it?"""
 
 import matplotlib.pyplot as plt
 

@@ -1,8 +1,4 @@
-"""A LASSO path, and the proof of every point on it.
-Above, the norm of each length scale's weights along 40 penalties. The true scale is 4.2 m; others
-come in only where the penalty is small, to fit noise. Below, the duality gap that the caller
-computed.
-"""
+"""A LASSO path, and the proof of every point on it."""
 
 import matplotlib.pyplot as plt
 import numpy as np

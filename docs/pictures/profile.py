@@ -1,18 +1,10 @@
-"""How often is the error at most so large?
-95 flights of the paper's Table 2, read on its grid (better readouts, one setting each): the share
-of flights whose length scale is off by at most x. A flight without an estimate never gets there.
-Drawn from results/table2/cases.parquet. Half a grid step is about 1 %; plain least squares chooses
-other scales.
-"""
-
-from pathlib import Path
+"""How often is the error at most so large?"""
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
-root = next(folder for folder in Path(__file__).resolve().parents if (folder / "results").exists())
-cases = pd.read_parquet(root / "results" / "table2" / "cases.parquet")
+cases = pd.read_parquet("results/table2/cases.parquet")
 cases = cases[cases.protocol == "better readouts"]
 settings = {
     "least-squares": '"rcond":null',

@@ -1,8 +1,4 @@
-"""What is left of a fit, by frequency.
-Two flights through the same cells with the same noise, one of them in turbulence of 1 m/s. Noise
-of the sensors, behind the derivative's filter, leaves most near the filter's edge, here 5 Hz.
-Turbulence leaves more at low frequencies: the estimate sees that, and widens its interval.
-"""
+"""What is left of a fit, by frequency."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -1,7 +1,4 @@
-"""A flight over the cells that it revealed.
-The colour is the speed of the estimated flow. The line is the flight from which it was estimated,
-with noise of 0.1 m/s and 0.02 m.
-"""
+"""A flight over the cells that it revealed."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
     from sparsefit.estimator import Estimate, Estimator
 
-UNITS = {"m": ((5e3, 1e3, "km"),), "s": ((3e5, 86400.0, "days"), (2e4, 3600.0, "h"))}
-AXES = {"": ("x", "y"), "ENU": ("x east", "y north"), "NED": ("x north", "y east")}
-
 
 class Field(Protocol):
     """Anything with the velocity (..., 2) [m/s] of the air at x, y [m] and time t [s]."""
@@ -69,10 +66,9 @@ def draw_map(
         points = min(max(160, int(8 * cells)), 640)
         edges, turning = vorticity(flow, every, middle, points)
         most = float(np.quantile(np.abs(turning), 0.99)) or 1.0
-        west, east_edge, bottom, top = (edge / scale for edge in edges)
         shades = axes.imshow(
-            turning, origin="lower", extent=(west, east_edge, bottom, top), cmap="RdBu", vmin=-most,
-            vmax=most, alpha=0.7, interpolation="bilinear", aspect="equal",
+            turning, origin="lower", extent=tuple(np.divide(edges, scale)), cmap="RdBu",
+            vmin=-most, vmax=most, alpha=0.7, interpolation="bilinear", aspect="equal",
         )  # fmt: skip
     for place, track in enumerate(tracks):
         x, y = track.T / scale
@@ -81,10 +77,11 @@ def draw_map(
     axes.set_aspect("equal", adjustable="datalim" if flow is None else "box")
     axes.locator_params(nbins=5)
     axes.grid(False)
-    east, north = AXES[flights[0].frame]
+    directions = {"ENU": (" east", " north"), "NED": (" north", " east")}
+    x_way, y_way = directions.get(flights[0].frame, ("", ""))
     begin = "flights begin at the dots" if len(flights) > 1 else "the flight begins at the dot"
-    axes.set_xlabel(f"{east} [{unit}], {begin}")
-    axes.set_ylabel(f"{north} [{unit}]")
+    axes.set_xlabel(f"x{x_way} [{unit}], {begin}")
+    axes.set_ylabel(f"y{y_way} [{unit}]")
     return shades
 
 
@@ -103,10 +100,9 @@ def draw_flow(flow: Field, *flights: Flight, length_scale: float = np.nan) -> Fi
 
 def axis_unit(largest: float, unit: str) -> tuple[float, str]:
     """Return by what the values of an axis are divided, and the unit that they then have."""
-    for least, factor, larger in UNITS[unit]:
-        if largest >= least:
-            return factor, larger
-    return 1.0, unit
+    if unit == "m":
+        return (1e3, "km") if largest >= 5e3 else (1.0, unit)
+    return (86400.0, "days") if largest >= 3e5 else (3600.0, "h") if largest >= 2e4 else (1.0, unit)
 
 
 def draw_estimate(
@@ -143,14 +139,9 @@ def draw_estimate(
 
 
 def _answer(estimate: Estimate) -> str:
-    uncertainty = estimate.uncertainty
-    spreads = (
-        (uncertainty.mean_velocity, uncertainty.length_scale)
-        if uncertainty
-        else (math.nan, math.nan)
-    )
-    speed = _quantity(estimate.mean_velocity, spreads[0])
-    length = _quantity(estimate.length_scale, spreads[1])
+    error = estimate.uncertainty
+    speed = _quantity(estimate.mean_velocity, error.mean_velocity if error else math.nan)
+    length = _quantity(estimate.length_scale, error.length_scale if error else math.nan)
     return f"U0 = {speed} m/s, L = {length} m: {estimate.status}"
 
 

@@ -20,15 +20,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Drawn = TypeVar("Drawn", "Figure", "Figure | None")
-WIDTH = 7.0  # inches: a page between its margins
 DPI = 150
 # Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "D", "v", "P", "X", "*")
 STYLES = ("-", "--", ":", "-.")
 GREY = "#666666"
-TICKS = 5  # at most, of a logarithmic axis: more would touch each other
-LEGEND = 125  # letters of one line of a legend as wide as the page
 STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.0,
@@ -72,10 +69,10 @@ def styled(draw: Callable[[], Drawn]) -> Drawn:
 
 
 def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure of page width [inches] with a grid of axes that do not overlap."""
+    """Return a figure of page width, 7 inches, with a grid of axes that do not overlap."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(7.0, height), dpi=DPI, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     return figure, [list(row) for row in grid]
 
@@ -85,16 +82,12 @@ def logarithmic(axis: Axis, low: float, high: float) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     decades = math.log10(high / low) if 0.0 < low < high else 1.0
-    axis.set_major_locator(
-        LogLocator(subs=(1.0,) if decades > 2.2 else (1.0, 2.0, 5.0), numticks=TICKS)
+    subs = (1.0,) if decades > 2.2 else (1.0, 2.0, 5.0)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=5))  # more would touch each other
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: re.sub(r"e\+?(-?)0*", r"e\1", f"{value:g}"))  # 1e-6
     )
-    axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value)))
     axis.set_minor_locator(NullLocator())
-
-
-def number_text(value: float) -> str:
-    """Return a number as an axis shows it, `1e-6`."""
-    return re.sub(r"e([-+])0*", lambda sign: f"e{sign[1].strip('+')}", f"{value:g}")
 
 
 def level_axis(axes: Axes, levels: Array) -> None:
@@ -118,7 +111,10 @@ def level_axis(axes: Axes, levels: Array) -> None:
 
 
 def legend(figure: Figure, every: Iterable[Axes]) -> None:
-    """Put one legend above all panels, of what they draw and label, in room of its own."""
+    """Put one legend above all panels, of what they draw and label, in room of its own.
+
+    The line of the others, which have no name, is the last.
+    """
     handles = {
         str(label): handle
         for axes in every
@@ -126,10 +122,12 @@ def legend(figure: Figure, every: Iterable[Axes]) -> None:
     }
     if not handles:
         return
-    names = [name.split("\n") for name in handles]
+    ordered = sorted(handles, key=lambda name: handles[name].get_gid() == "line-others")
+    names = [name.split("\n") for name in ordered]
     longest = max(len(line) for lines in names for line in lines)
-    columns = max(1, min(len(names), LEGEND // (longest + 7)))
-    figure.legend(handles=list(handles.values()), loc="outside upper center", ncols=columns)
+    columns = max(1, min(len(names), 125 // (longest + 7)))  # letters of a line of a page
+    figure.legend([handles[name] for name in ordered], ordered, loc="outside upper center",
+                  ncols=columns)  # fmt: skip
     rows = -(-len(names) // columns)
     lines = max(sum(map(len, names[at : at + rows])) for at in range(0, len(names), rows))
     figure.set_figheight(figure.get_figheight() + 0.14 * lines)

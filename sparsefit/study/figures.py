@@ -213,9 +213,9 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     """
     flown = cases[measures.in_flow(cases)]
     if flown["condition"].nunique() > len(COLOURS):
-        flown = flown.assign(condition="all conditions")
+        flown = flown.assign(condition="")
     grid = [
-        [_points(flown[flown["title"] == title], name, "" if at else f"{wrapped(title, 30)}\n\n")
+        [_points(flown[flown["title"] == title], name, "" if at else f"{wrapped(title, 24)}\n\n")
          for at, name in enumerate(PARAMETERS)]
         for title in (best_titles(flown) if answered(flown).any() else ())
     ]  # fmt: skip
@@ -224,6 +224,12 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
         axes.plot([0, 1], [0, 1], color=GREY, lw=0.8, zorder=1, transform=axes.transAxes)
         axes.set_box_aspect(1.0)
         axes.set_title(axes.get_title(), fontsize=6.5, color=GREY)
+    if figure and (layout := figure.get_layout_engine()):  # squares leave no room above them
+        layout.execute(figure)
+        height = figure.get_figheight()
+        spare = [height * axes.get_position(original=True).height - box.height / figure.dpi
+                 for axes in figure.axes if (box := axes.get_tightbbox())]  # fmt: skip
+        figure.set_figheight(height - len(grid) * max(min(spare), 0.0))
     return figure
 
 

@@ -179,6 +179,8 @@ def _scale(axes: Axes, panel: Panel, heights: Array, columns: int) -> None:
         short = list(style.labels(panel.names, 34).values())
         is_long = sum(map(len, short)) + 2 * len(short) > PAGE // columns
         slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+        if is_long:  # slanted, each on one line: a second would touch its neighbour
+            short = list(style.labels(panel.names, 48).values())
         axes.set_xticks(range(len(short)), short, **(slant if is_long else {}))
         if panel.style.get("ls") == "":
             axes.set_xlim(-0.5, len(short) - 0.5)
