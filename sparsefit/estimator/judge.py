@@ -160,7 +160,8 @@ def doubts_of_flow(
                 f"{MORE}: turbulence of {goodness.turbulence:.2g} m/s, "
                 f"{100 * goodness.turbulence_share:.2g} % of U0, and hardly any steady cells"
             )
-        if not (posterior.exact or wanders or goodness.whiteness >= 1e-6):
+        coloured = not (posterior.exact or posterior.pushed or wanders)
+        if coloured and not goodness.whiteness >= 1e-6:
             yield misfit(
                 f"{MORE}: innovations are not white (p = {goodness.whiteness:.1g}), and no cause "
                 "explains it"

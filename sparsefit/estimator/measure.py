@@ -282,7 +282,7 @@ def measure_flow(
     likelier = gusty if gusty is not None and gusty.bic < best.bic else best
     diagnosis = Diagnosis(likelier, likelier)
     goodness = Goodness.of(likelier, diagnosis)
-    white = goodness.whiteness > 1e-6 or likelier.exact
+    white = goodness.whiteness > 1e-6 or likelier.exact or likelier.pushed
     clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
     excess = math.inf if clear else _excess(prepared, logs, likelier)
     if excess > -HIDDEN or goodness.r_squared > MOSTLY:

@@ -419,7 +419,12 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
 def disturbed(posterior: Posterior) -> bool:
     """Whether there is process noise, or colour: a level is seen, and is more than chance."""
     information = posterior.level_information
-    if posterior.exact or not information.size or not float(information[0, 0]) > 1.0:
+    if (
+        posterior.exact
+        or posterior.pushed
+        or not information.size
+        or not float(information[0, 0]) > 1.0
+    ):
         return False
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
 

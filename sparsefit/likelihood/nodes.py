@@ -33,12 +33,14 @@ class FlightLog:
         position: (m, 2) [m], NaN where there is no reading.
         velocity: (m, 2) [m/s], NaN likewise.
         thrust: the thrust acceleration [m/s^2], (2,) or one per row (m, 2).
+        thrust_noise: white, of each row of the thrust [m/s^2].
     """
 
     time: Array
     position: Array
     velocity: Array
     thrust: Array
+    thrust_noise: float = 0.0
 
     def __post_init__(self) -> None:
         """Give each array its full shape."""
@@ -53,7 +55,9 @@ class FlightLog:
         """Return the readings of a flight; its velocity only where it was measured."""
         thrust = flight.vehicle.thrust_acceleration if flight.thrust is None else flight.thrust
         velocity = flight.velocity if flight.velocity_measured else np.nan * flight.velocity
-        return cls(flight.time, flight.position, velocity, np.asarray(thrust))
+        noise = 0.0 if flight.thrust is None else noise_of(flight.thrust)
+        scaled = noise * abs(flight.vehicle.thrust_scale)
+        return cls(flight.time, flight.position, velocity, np.asarray(thrust), scaled)
 
     @property
     def origin(self) -> tuple[float, float, float]:
@@ -79,6 +83,11 @@ class FlightLog:
     def noise(self) -> tuple[float, float]:
         """The levels of white noise of position [m] and velocity [m/s], from the log alone."""
         return noise_of(self.position), noise_of(self.velocity)
+
+    @property
+    def kicks(self) -> float:
+        """The least process noise [m/s^2/sqrt(Hz)]: that of the thrust as it was measured."""
+        return self.thrust_noise * math.sqrt(self.interval)
 
     @property
     def spread(self) -> Array:

@@ -129,6 +129,15 @@ class Posterior:
         )
 
     @property
+    def pushed(self) -> bool:
+        """True where the noise of a measured thrust is most that is seen: it is not white."""
+        return any(
+            leg.log.thrust_noise * leg.log.interval > leg.model.disturbance.velocity_noise
+            and leg.model.disturbance.acceleration < 1.5 * leg.log.kicks
+            for leg in self.legs
+        )
+
+    @property
     def models(self) -> tuple[Model, ...]:
         """The model of each log at the optimum, values and levels."""
         return tuple(leg.model for leg in self.legs)
@@ -284,11 +293,11 @@ def measure(
         one_of("level", name, own)
     wanted = [own.index(name) for name in levels]
     floors = []
-    for each in models:
+    for log, each in zip(records, models, strict=True):
         pattern, floor = each.pattern, np.full(len(each.disturbance.levels), 1e-150)
         speed, length = EXACT * pattern.mean_velocity, pattern.length_scale
         floor[:3] = (
-            speed * math.sqrt(pattern.mean_velocity / length),
+            max(speed * math.sqrt(pattern.mean_velocity / length), log.kicks),
             0.01 * EXACT * length,  # process noise moves a position by less than passes err
             speed,
         )

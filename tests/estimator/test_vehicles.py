@@ -78,6 +78,21 @@ def test_an_interval_holds_where_noise_of_the_thrust_is_weak_process_noise():
     assert abs(right.mean_velocity - 8.0) < 4 * right.uncertainty.mean_velocity
 
 
+@pytest.mark.parametrize("period", [4.0, 8.0])
+def test_noise_of_the_thrust_does_not_make_gusts_of_the_thrust_itself(period):
+    """Where all else is exact, gusts of a slow walk would explain a log without its thrust."""
+    flow = sf.CellularFlow(4.5, 4.25)
+    thrust = turning(20.0, 50.0, constant=(5.0, 3.0), size=6.0, period=period, phase=1.0)
+    flight = sf.simulate_flight(
+        flow, LINEAR, duration=20.0, sample_rate=50.0, seed=8, thrust=thrust, thrust_noise=0.2
+    )
+    wrong = replace(flight, vehicle=sf.PointMassVehicle(0.6, thrust_scale=1.2))
+    estimate = estimated(wrong, "response_time", "thrust_scale", "thrust_acceleration")
+    assert estimate.status == "ok"
+    assert abs(estimate.mean_velocity - 4.5) < 3.0 * estimate.uncertainty.mean_velocity < 0.15
+    assert abs(estimate.thrust_scale - 1.0) < 3.0 * estimate.vehicle_uncertainty.thrust_scale
+
+
 def test_what_cannot_be_sought_is_refused():
     flight = flown(QUADRATIC)
     for names, words in {
