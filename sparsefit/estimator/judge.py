@@ -25,11 +25,6 @@ QUANTITIES = {
     "timescale": "the timescale",
 }
 MORE = "more than noise is left"
-WANDERS = {
-    "turbulence": "turbulence",
-    "wander": "a position that wanders",
-    "swell": "a mean velocity that swells",
-}
 
 
 def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[Verdict]:
@@ -139,9 +134,10 @@ def doubts_of_flow(
         unasked = [name for name in wanders if name in FREEDOMS and name not in free]
         if free == "auto" and result.diagnosis.suspects and unasked:
             names = ", ".join(own.free for own in result.diagnosis.suspects)
+            others = " and ".join(FREEDOMS[own].name.replace("-", " ") for own in unasked)
             yield misfit(
-                f"{MORE} beside {names}: {' and '.join(WANDERS[own] for own in unasked)}; what is "
-                "wrong may be none of these: correct the vehicle or the log, or name what to free"
+                f"{MORE} beside {names}: {others}; what is wrong may be none of these: correct the "
+                "vehicle or the log, or name what to free"
             )
         shares = [own.r_squared for own in goodness.flights]
         if shares and min(shares) < 0.8 < max(shares):

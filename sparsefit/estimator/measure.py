@@ -183,7 +183,7 @@ class Measured:
             "freed": self.freed,
             "constancy": constancy,
             "rungs": tuple(
-                RungEstimate(own.shape, own.drifting, own.bic - least, own.residual)
+                RungEstimate(own.shape, own.velocity is not None, own.bic - least, own.residual)
                 for own in self.proposals
             ),
         }
@@ -327,10 +327,8 @@ def _loose(posterior: Posterior) -> bool:
 
 def _pattern(proposal: Proposal) -> StreamPattern:
     """The pattern of a proposal."""
-    drift = proposal.drift if proposal.drifting else None
-    return StreamPattern.of_waves(
-        proposal.shape, proposal.wavevectors, proposal.cosine, proposal.sine, drift
-    )
+    waves = proposal.wavevectors, proposal.cosine, proposal.sine
+    return StreamPattern.of_waves(proposal.shape, *waves, proposal.velocity)
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
@@ -339,10 +337,10 @@ def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
     for proposal in proposals:
         for place, other in enumerate(chosen):
             if _near(proposal.wavevectors, other.wavevectors, near):
-                order = min(
-                    other, proposal, key=lambda own: (SHAPES.index(own.shape), own.drifting)
+                chosen[place] = min(
+                    *(other, proposal),
+                    key=lambda own: (SHAPES.index(own.shape), own.velocity is not None),
                 )
-                chosen[place] = order
                 break
         else:
             chosen.append(proposal)

@@ -170,8 +170,8 @@ def _right_hand_side(
     places, which `math.sin` refuses, and after ``most`` evaluations; `_integrate` sees both.
     """
     push = thrust.pointwise() if thrust else None
-    rate, drag, scale = vehicle.rate, vehicle.drag, vehicle.thrust_scale
-    ax, ay = vehicle.thrust_acceleration
+    _, c, ax, ay, scale = vehicle.parameters
+    rate = vehicle.rate
     count = 0
 
     def derivative(t: float, state: Array) -> list[float]:
@@ -183,7 +183,7 @@ def _right_hand_side(
         except (ValueError, OverflowError):
             wx = wy = math.nan
         mx, my = push(t) if push else (0.0, 0.0)
-        own = rate + drag * math.hypot(wx - vx, wy - vy) if drag else rate
+        own = rate + c * math.hypot(wx - vx, wy - vy) if c else rate
         return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
 
     return derivative

@@ -27,7 +27,7 @@ class Cause:
     of_flow: bool = False
 
 
-WIND, BIAS = ("wind_x", "wind_y"), ("position_bias_x", "position_bias_y")
+WIND, BIAS, GAIN = ("wind_x", "wind_y"), ("position_bias_x", "position_bias_y"), ("gain",)
 BELIEVED = "than it is believed"
 FREEDOMS: dict[str, Cause] = {
     "response_time": Cause("response-time", ("response_time",),
@@ -59,7 +59,7 @@ FREEDOMS: dict[str, Cause] = {
                                "seems turned, by {degrees:.2g} degrees"),
     "turbulence": Cause("turbulence", WIND, wanders=True, answered=True),
     "wander": Cause("position-noise", BIAS, wanders=True, answered=True),
-    "swell": Cause("swelling", ("gain",), "the mean velocity seems to change in time, by "
+    "swell": Cause("swelling", GAIN, "the mean velocity seems to change in time, by "
                    "{percent:.2g} % rms", wanders=True, of_flow=True),
 }  # fmt: skip
 """Causes by the name under which they are freed."""

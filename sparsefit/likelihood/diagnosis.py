@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.errors import InputError
-from sparsefit.likelihood.causes import ALIKE, FREEDOMS, SHAPES, Cause, Suspect
+from sparsefit.likelihood.causes import ALIKE, BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
 from sparsefit.likelihood.gains import Gain, chance_of, gains_of
 from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
@@ -375,11 +375,11 @@ def process_of(name: str, posterior: Posterior) -> Process:
     pattern, noise = posterior.model.pattern, posterior.model.disturbance.position_noise
     speed, time = pattern.mean_velocity, posterior.legs[0].nodes.time
     level, rate = {
-        "turbulence": (0.1 * speed, speed / pattern.length_scale),
-        "wander": (3.0 * noise, 0.2),
-        "swell": (0.1, 4.0 / float(time[-1] - time[0])),
-    }[name]
-    return Process(name, FREEDOMS[name].elements, level, rate)
+        WIND: (0.1 * speed, speed / pattern.length_scale),
+        BIAS: (3.0 * noise, 0.2),
+        GAIN: (0.1, 4.0 / float(time[-1] - time[0])),
+    }[elements := FREEDOMS[name].elements]
+    return Process(name, elements, level, rate)
 
 
 def with_process(models: Sequence[Model], process: Process) -> tuple[Model, ...]:

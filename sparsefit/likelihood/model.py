@@ -84,7 +84,7 @@ class Disturbance:
         acceleration: q [m/s^2/sqrt(Hz)], white.
         position_noise: sigma_x [m], white, of each component.
         velocity_noise: sigma_v [m/s].
-        processes: the elements that wander.
+        processes: of the elements that vary with time.
     """
 
     acceleration: float = 0.0
@@ -212,7 +212,7 @@ class StateSpace:
 
     Args:
         elements: the values of the elements (22 + 5 j,).
-        walkers: the elements (w,) that wander, states 4 to n.
+        walkers: the elements (w,) that are states, 4 to n.
         rates: their rates beta (w,) [1/s].
         chain: the derivatives (22 + 5 j, p) of the elements by the parameters in question.
         kicks: the variance per second that each level gives to each state (l, n).

@@ -68,8 +68,7 @@ class Proposal:
         wavevectors: k (j, 2) [rad/m].
         cosine: a (j,) [m^2/s], in the flight's own coordinates and time.
         sine: b (j,) [m^2/s].
-        drift: c [m/s], (0, 0) where it stands.
-        drifting: whether the shape may drift.
+        velocity: c [m/s]; None: it stands.
         residual: RSS of the rows over |Phi|^2.
         bic: n ln RSS + p ln n.
         vehicles: of each flight with its unknowns as the rows have them; as believed where the
@@ -81,8 +80,7 @@ class Proposal:
     wavevectors: Array
     cosine: Array
     sine: Array
-    drift: tuple[float, float]
-    drifting: bool
+    velocity: tuple[float, float] | None
     residual: float
     bic: float
     vehicles: tuple[PointMassVehicle, ...]
@@ -91,12 +89,13 @@ class Proposal:
     @property
     def flow(self) -> WaveFlow:
         """The flow that is proposed."""
-        return WaveFlow(self.wavevectors, self.cosine, self.sine, self.wavevectors @ self.drift)
+        frequencies = None if self.velocity is None else self.wavevectors @ self.velocity
+        return WaveFlow(self.wavevectors, self.cosine, self.sine, frequencies)
 
-    def lobe(self, extent: float) -> tuple[str, bool, bytes]:
+    def lobe(self, extent: float) -> tuple[str, bytes]:
         """A key that proposals share whose phases differ by some 1e-6 over an extent [m]."""
-        phases = np.append(self.wavevectors * extent, self.drift)
-        return self.shape, self.drifting, (np.round(phases, 6) + 0.0).tobytes()
+        phases = np.append(self.wavevectors * extent, self.velocity or ())
+        return self.shape, (np.round(phases, 6) + 0.0).tobytes()
 
     @property
     def mean_velocity(self) -> float:
@@ -352,15 +351,14 @@ def propose(search: Search, start: Start) -> tuple[Proposal, ...]:
         cosine = a * np.cos(shift) - b * np.sin(shift)
         sine = a * np.sin(shift) + b * np.cos(shift)
         vehicles, background, ratio = read_vehicles(search.unknowns, fit.coefficients)
-        drift = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else (0.0, 0.0)
+        velocity = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else None
         proposals.append(
             Proposal(
                 fit.shape.name,
                 fit.phases[:, :2],
                 cosine / ratio,
                 sine / ratio,
-                drift,
-                fit.shape.drifting,
+                velocity,
                 fit.residual / search.rows.square,
                 bic,
                 vehicles,
