@@ -189,4 +189,8 @@ def test_fewer_samples_than_columns_need_a_ridge():
     refused = sf.fit(problem, backends.get("stlsq", ridge=0.0))
     assert refused.status == "error"
     assert "set ridge above 0 or use lasso" in refused.reason
-    assert sf.fit(problem, backends.get("stlsq")).status == "ok"
+    ridged = sf.fit(problem, backends.get("stlsq", ridge=0.2, threshold=0.0, unbias=False))
+    scaled = problem.theta / problem.design.rms
+    expected = np.linalg.solve(scaled.T @ scaled + 1.0 * np.eye(12), scaled.T @ problem.target)
+    assert ridged.status == "ok"
+    assert ridged.weights * problem.design.rms[:, None] == pytest.approx(expected)
