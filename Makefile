@@ -8,6 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 .PHONY: study evidence test check docs clean
 
+study: export PYTHONDONTWRITEBYTECODE :=
 study: $(VENV)/.installed
 	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/cases.sqlite),,--fresh)
 

@@ -136,7 +136,7 @@ class STLSQ(Checked):
         alike: dict[bytes, list[int]] = {}  # targets that share a support share a factor
         for t in range(problem.targets):
             alike.setdefault(support[:, t].tobytes(), []).append(t)
-        for targets in alike.values():
+        for targets in map(np.array, alike.values()):
             on = np.flatnonzero(support[:, targets[0]])
             if not len(on):
                 continue
