@@ -14,13 +14,17 @@ is imported and its classes of that kind are solvers; a command is a `Command`.
 
 import importlib.util
 import json
+import math
 import os
+import select
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, is_dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -44,13 +48,19 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BEHIND_CVXPY",
+    "Late",
     "Recipe",
     "answers",
     "shipped_solvers",
     "solver",
     "solver_names",
 ]
+FOREVER = 1e6  # s: the longest wait that the system takes
 SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **dict.fromkeys(PEERS, Peer)}
+
+
+class Late(SparsefitError):  # noqa: N818 - it says what the matter is
+    """A command was ended at one of its limits; the message goes on from `the solve`."""
 
 
 @cache
@@ -84,13 +94,16 @@ def solver(name: str, **settings: Any) -> Any:
 class Recipe:
     """A solver in plain values: its name, settings, and the file or command that it comes from.
 
-    file: path of a Python file with its class; command: a program and its arguments, a `Command`.
+    file: path of a Python file with its class; command: a program and its arguments, a `Command`
+    with its limits [s] of a solve and of what is beside it.
     """
 
     name: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     file: str = ""
     command: tuple[str, ...] = ()
+    limit: float = math.inf
+    start: float = math.inf
 
     @property
     def owner(self) -> Any:
@@ -116,7 +129,8 @@ class Recipe:
         """The solver. Raises InputError on an unknown name or setting, MissingExtra as `solver`."""
         if self.command:
             folder = str(Path(self.file).parent) if self.file else "."
-            return Command(self.name, self.command, folder, dict(self.settings))
+            limits = (self.limit, self.start)
+            return Command(self.name, self.command, folder, dict(self.settings), *limits)
         owner = self.owner
         if self.package and importlib.util.find_spec(self.package) is None:
             extra = getattr(self._texts, "extra", self.package)
@@ -162,7 +176,8 @@ def answers(
     """Solutions at descending penalty fractions, in the units of the problem's columns.
 
     An exception becomes the status ``error``; a warning ``inaccurate``, with its first words: a
-    solver is not trusted to be silent. A `Command` keeps its own clock, which each of them has.
+    solver is not trusted to be silent. A `Command` keeps its own clock, which each of them has,
+    and its own limits: raises `Late` where it was ended at one.
     """
     fractions, count = np.array(alpha_fractions, dtype=float), len(alpha_fractions)
     design, shape = problem.design, (problem.columns, problem.targets)
@@ -177,6 +192,8 @@ def answers(
             weights = np.array(raw.weights if isinstance(raw, Timed) else raw, dtype=float)
             if weights.shape != (count, *shape):
                 raise InputError(f"weights of shape {weights.shape}, not {(count, *shape)}")
+        except Late:
+            raise
         except Exception as error:  # a public solver may raise anything
             words = f"{solver.name}: {described(error)}"
             failed = Solution(None, "error", words, type(error).__name__)
@@ -239,13 +256,16 @@ class Command:
     neither its start nor files are in it.
 
     name: what tables call it; command: the program and its arguments, relative to ``folder``;
-    settings: what problem.json tells it of them.
+    settings: what problem.json tells it of them; limit: seconds [s] of a path between these lines;
+    start: of a path before and after them, so of programs that start, read and write.
     """
 
     name: str
     command: tuple[str, ...]
     folder: str = "."
     settings: Mapping[str, Any] = field(default_factory=dict)
+    limit: float = math.inf
+    start: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.command or not all(isinstance(word, str) for word in self.command):
@@ -267,13 +287,19 @@ class Command:
         alphas: Array,
         tolerance: float | None,
     ) -> Array | Timed:
-        """Weights (p, k, n) of the program, and its time. Raises InputError as it fails."""
+        """Weights (p, k, n) of the program, and its time.
+
+        Raises InputError as it fails, `Late` where it was ended at a limit.
+        """
         if reason := self.takes(penalty):
             raise InputError(reason)
-        call = partial(self._solved, tolerance=tolerance)
+        remaining = {"solve": self.limit, "start": self.start}
+        call = partial(self._solved, tolerance=tolerance, remaining=remaining)
         return solved_in_parts(call, design, target, penalty, alphas)
 
-    def _solved(self, task: Task, targets: slice, tolerance: float | None) -> Timed:
+    def _solved(
+        self, task: Task, targets: slice, tolerance: float | None, remaining: dict[str, float]
+    ) -> Timed:
         with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
             folder, matrix = Path(name), task.design
             if isinstance(matrix, np.ndarray):
@@ -288,35 +314,57 @@ class Command:
             words |= {"fractions": task.fractions.tolist(), "settings": dict(self.settings)}
             with (folder / "problem.json").open("w", encoding="utf-8") as file:
                 json.dump(words, file)
-            wall, cpu = self._run(folder)
+            wall, cpu = self._run(folder, remaining)
             try:
-                return Timed(np.load(folder / "answer.npy"), wall, cpu)
+                return Timed(np.load(folder / "answer.npy", allow_pickle=False), wall, cpu)
             except (OSError, ValueError) as error:
                 raise InputError(f"{self.name} wrote no answer.npy ({error})") from None
 
-    def _run(self, folder: Path) -> tuple[float, float]:
-        """Seconds of wall and CPU [s] between the two lines of the program."""
+    def _run(self, folder: Path, remaining: dict[str, float]) -> tuple[float, float]:
+        """Seconds of wall and CPU [s] between the two lines of the program, within its limits."""
         program, *rest = self.command
         first = str(Path(self.folder, program).absolute()) if "/" in program else program
-        pipes: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
         words, where = [first, *rest, str(folder)], self.folder or None
-        started: Any = subprocess.Popen(words, cwd=where, **pipes, text=True)
-        with started as process:
+        errors = (folder / "errors").open("w+b")
+        pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
+        started: Any = subprocess.Popen(words, cwd=where, bufsize=0, process_group=0, **pipes)
+        with errors, started as run:
             try:
-                ready = process.stdout.readline()
-                wall, cpu = perf_counter(), _cpu_seconds(process.pid)
+                ready = self._line(run, "start", remaining)
+                wall, cpu = perf_counter(), _cpu_seconds(run.pid)
                 if ready:
-                    process.stdin.write("go\n")
-                    process.stdin.flush()
-                done = process.stdout.readline() if ready else ""
-                wall, cpu = perf_counter() - wall, _cpu_seconds(process.pid) - cpu
-                _, printed = process.communicate()
+                    with suppress(BrokenPipeError):  # it has ended: the next line says so
+                        run.stdin.write(b"go\n")
+                done = self._line(run, "solve", remaining) if ready else b""
+                wall, cpu = perf_counter() - wall, _cpu_seconds(run.pid) - cpu
+                while self._line(run, "start", remaining):
+                    pass
+                code = run.wait(max(min(remaining["start"], FOREVER), 0.0))
+            except subprocess.TimeoutExpired:
+                raise self._late("start") from None
             finally:
-                process.kill()
-        if not done or process.returncode:
-            last = one_line(printed.strip().splitlines()[-1] if printed.strip() else "", 200)
-            raise SparsefitError(f"{self.name} ended with code {process.returncode}: {last}")
+                with suppress(ProcessLookupError):
+                    os.killpg(run.pid, signal.SIGKILL)
+            if not done or code:
+                errors.seek(max(errors.seek(0, os.SEEK_END) - 1000, 0))
+                printed = errors.read().decode(errors="replace").strip().splitlines()
+                last = one_line(printed[-1] if printed else "", 200)
+                raise SparsefitError(f"{self.name} ended with code {code}: {last}")
         return wall, cpu
+
+    def _line(self, run: Any, part: str, remaining: dict[str, float]) -> bytes:
+        """The next line that a program prints, empty at its end; its seconds count as `part`'s."""
+        began = perf_counter()
+        if not select.select([run.stdout], [], [], max(min(remaining[part], FOREVER), 0.0))[0]:
+            raise self._late(part)
+        line: bytes = run.stdout.readline()
+        remaining[part] -= perf_counter() - began
+        return line
+
+    def _late(self, part: str) -> Late:
+        if part == "solve":
+            return Late(f"took longer than {self.limit:g} s")
+        return Late(f"took longer than {self.start:g} s to start, to read or to write")
 
 
 def _cpu_seconds(pid: int) -> float:

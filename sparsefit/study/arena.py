@@ -230,7 +230,7 @@ class Arena:
         into.flush()
         rows = {"file": str(self.file), "seed": seed, "without": without, "weights": str(path)}
         ready = yield from self._ask(case, "ready", rows, READY_SECONDS)
-        answer = yield from self._ask(case, "solve", {}, case.contender.limit, timed=True)
+        answer = yield from self._ask(case, "solve", {}, case.contender.killed, timed=True)
         # An odd seed changes the sign of the target: the answer has it too.
         weights = -np.array(into) if seed % 2 else np.array(into)
         answered = int(np.isfinite(weights).all(axis=(1, 2)).sum())
@@ -292,6 +292,8 @@ class Arena:
             self.crew.overhead.pop(desk, None)
         if answer.status != "ok":
             raise Over(answer.status, answer.words(words)[:MAX_REASON])
+        if "late" in answer.content:
+            raise Over("timeout", f"{words} {answer.content['late']}"[:MAX_REASON])
         return answer
 
     def _judge(self, case: Case, weights: Array) -> Asking[None]:

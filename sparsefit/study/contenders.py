@@ -141,6 +141,11 @@ class Contender:
     recipe: Recipe | None
 
     @property
+    def killed(self) -> float:
+        """Seconds [s] after which a solve is killed: a command keeps its limits itself."""
+        return self.first if self.recipe is not None and self.recipe.command else self.limit
+
+    @property
     def problem_of(self) -> str:
         """The objective that it minimises, as canonical JSON."""
         return canonical_json([self.backend, dict(self.settings)])
@@ -183,6 +188,8 @@ class ProblemDesign:
             if c.recipe is not None and Path(c.recipe.file).is_file():
                 code = hashlib.sha256(Path(c.recipe.file).read_bytes()).hexdigest()
             own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
+            if c.recipe is not None and c.recipe.start != SolverKeys.start:
+                own.append(c.recipe.start)
             content.append(canonical_json([own, str(tolerance), self.fractions, clock, judged]))
         return numbered(map(digest, content))
 
@@ -338,6 +345,8 @@ def _read_contenders(
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
         first = max(limit, FIRST_SECONDS) if _ships(keys.name, recipe) else limit
+        if recipe is not None and recipe.command:  # it keeps its limits, or is ended after them
+            recipe, first = replace(recipe, limit=limit), limit + recipe.start + FIRST_SECONDS
         contenders.append(
             Contender(
                 objective=label, backend=keys.name, settings=settings, solver=solver,
@@ -373,7 +382,7 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, 
         grid = read_grid(settings, here)
         for point in points_of(grid):
             varied = [f"{name}={shown(point[name])}" for name in grid if len(grid[name]) > 1]
-            recipe = Recipe(keys.name, point, file, keys.command)
+            recipe = Recipe(keys.name, point, file, keys.command, start=keys.start)
             recipes.setdefault(keys.name, []).append((" ".join([keys.name, *varied]), recipe))
     return recipes
 

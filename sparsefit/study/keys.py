@@ -287,6 +287,10 @@ class SolverKeys:
     name: str = key("What `solver` calls it.")
     file: str = key("A Python file with its class, beside the study.", "")
     command: tuple[str, ...] = key("Or a program and its arguments.", ())
+    start: float = key(
+        "That a command may take to start, to read and to write, beside the limit of its solve.",
+        60.0, POSITIVE, "s",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

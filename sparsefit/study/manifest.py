@@ -80,7 +80,7 @@ def without_words(source: str) -> str:
     By its text, which is the same for every version of Python, and quick; comments stay where a
     string of several lines might hold what looks like one.
     """
-    text = DOCSTRING.sub(r'\1\2""\n', source)
+    text = DOCSTRING.sub(r"\1", source)
     return text if '"""' in text else COMMENT.sub("", text)
 
 

@@ -39,7 +39,7 @@ from sparsefit.regression.backend import PathBackend, PenalisedBackend, numeric_
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
-from sparsefit.solvers.registry import answers
+from sparsefit.solvers.registry import Late, answers
 from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
 from sparsefit.study.data_sets import Data
 from sparsefit.study.worker import resident
@@ -172,11 +172,15 @@ class SolverDesk:
         gc.disable()
         return {"memory": memory}
 
-    def first(self) -> None:
-        """A first call, of which nothing is an answer."""
-        self._solve()
+    def first(self) -> Mapping[str, Any]:
+        """A first call, of which nothing is an answer but that a command was late."""
+        try:
+            self._solve()
+        except Late as late:
+            return {"late": str(late)}
         gc.collect()
         gc.freeze()  # later collections pass over what is loaded now
+        return {}
 
     def _solve(self) -> Sequence[Solution]:
         work, self._work = self._work, ()
@@ -187,7 +191,10 @@ class SolverDesk:
 
     def solve(self) -> Mapping[str, Any]:
         """Solve, and write what is an answer; all of it counts as time."""
-        solutions = self._solve()
+        try:
+            solutions = self._solve()
+        except Late as late:
+            return {"late": str(late)}
         for into, solution in zip(self._into, solutions, strict=False):
             if solution.status != "error" and solution.weights is not None:
                 into[...] = np.asarray(solution.weights, float)
@@ -210,7 +217,9 @@ class JudgeDesk:
         """The verdict on the weights of a contender on the problem in a file."""
         if file != self._file:
             self._file, self._problem, self._bounds = file, problem_of(read_rows(file)), {}
-        kind, gap, excess = self._judged(self._design.contenders[contender], np.load(weights))
+        kind, gap, excess = self._judged(
+            self._design.contenders[contender], np.load(weights, allow_pickle=False)
+        )
         return {"kind": kind, "gap": gap, "excess": excess}
 
     def _judged(self, contender: Contender, weights: Array) -> tuple[str, float, float]:

@@ -13,7 +13,7 @@ from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, SquaredNorm, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import registry
-from sparsefit.solvers.registry import Recipe, answers, solver, solver_names
+from sparsefit.solvers.registry import Late, Recipe, answers, solver, solver_names
 
 MINE = '''
 from __future__ import annotations
@@ -170,3 +170,18 @@ def test_a_command_that_fails_says_so(tmp_path):
                 Design(data.theta, 50), data.target, lasso_penalty(6), np.array([1.0]), None
             )
     assert "no such penalty" in command.takes(SquaredNorm(6))
+
+
+@pytest.mark.parametrize(
+    ("words", "limits", "reason"),
+    [
+        ("sleep 60", (9.0, 0.2), "longer than 0.2 s to start"),
+        ("echo ready; read go; sleep 60", (0.2, 9.0), "took longer than 0.2 s$"),
+        ("echo ready; read go; echo done; exec >&-; sleep 60", (9.0, 0.5), "0.5 s .* to write"),
+    ],
+)
+def test_a_command_is_ended_at_its_limits(words, limits, reason):
+    limit, start = limits
+    command = Recipe("theirs", command=("sh", "-c", words), limit=limit, start=start).make()
+    with pytest.raises(Late, match=reason):
+        answers(command, problem(), lasso_penalty(6), (1.0,))

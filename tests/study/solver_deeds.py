@@ -4,6 +4,7 @@ import os
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -85,7 +86,7 @@ def solver(deed):
 
         def path(self, design, target, penalty, alphas, tolerance):
             CALLS[0] += 1
-            work = lambda: honest(design, target, penalty, alphas)  # noqa: E731
+            work = partial(honest, design, target, penalty, alphas)
             return do(deed, work, (design.shape, len(alphas)))
 
     Deed.__name__ = Deed.__qualname__ = deed.title()

@@ -162,14 +162,19 @@ np.save(folder / "answer.npy", np.stack([u] * 4))
 """
 
 
-def test_a_command_is_not_charged_for_its_start(tmp_path):
+def test_a_command_is_neither_charged_nor_ended_for_its_start(tmp_path):
     (tmp_path / "program.py").write_text(COMMAND)
-    command = f'[[solvers]]\nname = "theirs"\ncommand = ["{sys.executable}", "program.py"]\n'
-    lasso = '[[backends]]\nname = "lasso"\nsolver = "theirs"\ntolerances = [1e-8]\n'
-    study = load(tmp_path, HEAD.replace('"problems"', '"solvers"') + SMALL + command + lasso)
+    text = HEAD.replace('"problems"', '"solvers"').replace("repeats = 4", "repeats = 1") + SMALL
+    text += f'[[solvers]]\nname = "theirs"\ncommand = ["{sys.executable}", "program.py"]\n'
+    text += '[[solvers]]\nname = "stuck"\ncommand = ["sh", "-c", "sleep 60"]\nstart = 0.3\n'
+    text += '[[backends]]\nname = "lasso"\nsolver = ["theirs", "stuck"]\n'
+    study = load(tmp_path, text + "tolerances = [1e-8]\nlimit = 0.5\n")
     study.run()
-    (case,) = study.cases.to_dict("records")
-    assert 0.0 < case["wall"] < 0.5, case["reason"]
+    theirs, stuck = study.cases.to_dict("records")
+    assert theirs["status"] == "inaccurate"  # least squares, of a LASSO
+    assert 0.0 < theirs["wall"] < 0.5
+    words = "its first call took longer than 0.3 s to start, to read or to write"
+    assert (stuck["status"], stuck["reason"]) == ("timeout", words)
 
 
 def test_problems_are_judged_by_held_out_rows_and_truth(own):
