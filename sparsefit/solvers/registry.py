@@ -257,7 +257,7 @@ class Command:
 
     name: what tables call it; command: the program and its arguments, relative to ``folder``;
     settings: what problem.json tells it of them; limit: seconds [s] of a path between these lines;
-    start: of a path before and after them, so of programs that start, read and write.
+    start: of one program before and after them, so of its start, reading and writing.
     """
 
     name: str
@@ -293,7 +293,7 @@ class Command:
         """
         if reason := self.takes(penalty):
             raise InputError(reason)
-        remaining = {"solve": self.limit, "start": self.start}
+        remaining = {"solve": self.limit}
         call = partial(self._solved, tolerance=tolerance, remaining=remaining)
         return solved_in_parts(call, design, target, penalty, alphas)
 
@@ -325,7 +325,7 @@ class Command:
         program, *rest = self.command
         first = str(Path(self.folder, program).absolute()) if "/" in program else program
         words, where = [first, *rest, str(folder)], self.folder or None
-        errors = (folder / "errors").open("w+b")
+        remaining["start"], errors = self.start, (folder / "errors").open("w+b")
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
         started: Any = subprocess.Popen(words, cwd=where, bufsize=0, process_group=0, **pipes)
         with errors, started as run:

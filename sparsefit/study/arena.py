@@ -24,7 +24,7 @@ import numpy as np
 from sparsefit import backends
 from sparsefit.arrays import Array
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
-from sparsefit.study.contenders import ACCURACIES, Contender, ProblemDesign
+from sparsefit.study.contenders import ACCURACIES, Contender, ProblemDesign, small_problem
 from sparsefit.study.data_sets import Data
 from sparsefit.study.holdout import FOLDS, cross_validated, missed, recovered, support
 from sparsefit.study.keys import Clock
@@ -230,7 +230,8 @@ class Arena:
         into.flush()
         rows = {"file": str(self.file), "seed": seed, "without": without, "weights": str(path)}
         ready = yield from self._ask(case, "ready", rows, READY_SECONDS)
-        answer = yield from self._ask(case, "solve", {}, case.contender.killed, timed=True)
+        limit = case.contender.killed(shape[2])
+        answer = yield from self._ask(case, "solve", {}, limit, timed=True)
         # An odd seed changes the sign of the target: the answer has it too.
         weights = -np.array(into) if seed % 2 else np.array(into)
         answered = int(np.isfinite(weights).all(axis=(1, 2)).sum())
@@ -260,7 +261,8 @@ class Arena:
             return
         yield from self._ask(case, "ready", {}, READY_SECONDS)
         try:
-            words, limit = "its first call", case.contender.first
+            words, both = "its first call", small_problem().targets
+            limit = max(case.contender.first, case.contender.killed(both))
             first = yield from self._ask(case, "first", {}, limit, timed=True, words=words)
             crew.first.setdefault(case.number, first.wall)
         except Over as over:

@@ -123,8 +123,8 @@ class Contender:
     tolerances: where it is asked to stop, loosest first, NaN where it has none to set; form: how
     the problem is handed to it; missing: why it cannot run here, empty where it can; family: what
     shares a process with it; certified: whether checks of the data and certificates are in its
-    time; limit, first: seconds [s] after which a solve, and a first call, are killed; recipe: the
-    solver, None for the back-end's own.
+    time; limit: seconds [s] of a solve; first: of a first call; recipe: the solver, None for the
+    back-end's own.
     """
 
     objective: str
@@ -140,10 +140,11 @@ class Contender:
     first: float
     recipe: Recipe | None
 
-    @property
-    def killed(self) -> float:
+    def killed(self, targets: int) -> float:
         """Seconds [s] after which a solve is killed: a command keeps its limits itself."""
-        return self.first if self.recipe is not None and self.recipe.command else self.limit
+        if self.recipe is None or not self.recipe.command:
+            return self.limit
+        return self.limit + targets * self.recipe.start + FIRST_SECONDS
 
     @property
     def problem_of(self) -> str:
@@ -345,8 +346,7 @@ def _read_contenders(
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
         first = max(limit, FIRST_SECONDS) if _ships(keys.name, recipe) else limit
-        if recipe is not None and recipe.command:  # it keeps its limits, or is ended after them
-            recipe, first = replace(recipe, limit=limit), limit + recipe.start + FIRST_SECONDS
+        recipe = recipe and replace(recipe, limit=limit)
         contenders.append(
             Contender(
                 objective=label, backend=keys.name, settings=settings, solver=solver,
