@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from numbers import Integral, Real
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 LONGEST = 60  # characters of a value that a message shows
 REAL = (float, int, Real)  # an abstract class alone takes ten times as long to ask
@@ -154,6 +154,15 @@ def integer(name: str, value: int, least: int, *, odd: bool = False) -> int:
         kind = "an odd integer" if odd else "an integer"
         raise InputError(f"{name} must be {kind}, {least} or above; got {_shown(value)}")
     return int(value)
+
+
+def store(record: object, check: Callable[..., object], extra: Any, *names: str) -> None:
+    """Put fields of a frozen record through ``check(name, value, extra)``; store its answers.
+
+    extra: the unit, the least value or the shape, as the check has it.
+    """
+    for name in names:
+        object.__setattr__(record, name, check(name, getattr(record, name), extra))
 
 
 def number_setting(

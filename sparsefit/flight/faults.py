@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, integer, is_number, non_negative, positive
-from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, level_of
+from sparsefit.errors import InputError, integer, is_number, non_negative, positive, store
+from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, level_of, streams
 
 
 @dataclass(frozen=True)
@@ -47,19 +47,14 @@ class LogFaults:
 
     def __post_init__(self) -> None:
         """Check every fault."""
-        level_of("wander", self.wander, "m")
-        positive("wander_time", self.wander_time, "s")
-        if not is_number(self.outliers, 0.0, 1.0):
-            raise InputError(f"outliers is a share of the samples, 0 to 1; got {self.outliers!r}")
-        level_of("outlier_size", self.outlier_size, "m/s")
-        integer("jumps", self.jumps, 0)
-        level_of("jump_size", self.jump_size, "m")
-        integer("gaps", self.gaps, 0)
-        non_negative("gap_duration", self.gap_duration, "s")
-        if not is_number(self.lost_samples, 0.0, 0.999):
-            raise InputError(
-                f"lost_samples is a share of the samples, 0 to .999; got {self.lost_samples!r}"
-            )
+        store(self, level_of, "m", "wander", "jump_size")
+        store(self, level_of, "m/s", "outlier_size")
+        store(self, positive, "s", "wander_time")
+        store(self, non_negative, "s", "gap_duration")
+        store(self, integer, 0, "jumps", "gaps")
+        for name, most in (("outliers", 1.0), ("lost_samples", 0.999)):
+            if not is_number(share := getattr(self, name), 0.0, most):
+                raise InputError(f"{name} is a share of the samples, 0 to {most:g}; got {share!r}")
 
     def spoil(self, flight: Flight, seed: np.random.SeedSequence) -> Flight:
         """Return the log of a flight with these faults; each fault has a stream of its own.
@@ -71,11 +66,7 @@ class LogFaults:
         for name, count in (("jumps", self.jumps), ("gaps", self.gaps)):
             if count > flight.samples:
                 raise InputError(f"{name}: {count} in {flight.samples} samples; give fewer")
-        key = seed.spawn_key
-        wander, outlier, jump, gap, loss = (
-            np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*key, child)))
-            for child in range(5)
-        )
+        wander, outlier, jump, gap, loss = streams(seed, 5)
         samples = flight.samples
         error = wander.standard_normal((samples, 2))
         memory = np.exp(-np.diff(flight.time) / self.wander_time)

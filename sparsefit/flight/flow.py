@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, finite, is_number, non_negative, pair, positive
+from sparsefit.errors import InputError, finite, is_number, non_negative, pair, positive, store
 from sparsefit.flight.waves import Flow, FlowField, Formula, WaveFlow
 
 __all__ = ["Cells", "CellularFlow", "Flow", "FlowField", "ShapedCells", "SuperposedFlow", "as_flow"]
@@ -76,10 +75,8 @@ class CellularFlow(Cells):
 
     def __post_init__(self) -> None:
         """Check both parameters and store them as floats."""
-        speed = positive("mean_velocity", self.mean_velocity, "m/s")
-        scale = positive("length_scale", self.length_scale, "m")
-        object.__setattr__(self, "mean_velocity", speed)
-        object.__setattr__(self, "length_scale", scale)
+        store(self, positive, "m/s", "mean_velocity")
+        store(self, positive, "m", "length_scale")
 
     @property
     def wavenumber(self) -> float:
@@ -136,30 +133,22 @@ class ShapedCells(Cells):
 
     def __post_init__(self) -> None:
         """Check the parameters and store them as floats."""
-        given = self.length_scales
-        sides = pair("length_scales", (given, given) if is_number(given) else given, "m")
-        sides = (positive("length_scales", sides[0], "m"), positive("length_scales", sides[1], "m"))
+        if is_number(self.length_scales):
+            object.__setattr__(self, "length_scales", (self.length_scales, self.length_scales))
+        store(self, pair, "m", "length_scales", "offset")
+        sides = [positive("length_scales", side, "m") for side in self.length_scales]
         if max(sides) > 1e6 * min(sides):
             raise InputError("length_scales differ by more than 1e6 times: no cells")
-        angle = positive("angle", self.angle, "rad")
-        if angle >= math.pi:
-            raise InputError(f"angle must lie between 0 and pi [rad]; got {angle!r}")
-        swell = non_negative("swell", self.swell)
-        if swell >= 1.0:
-            raise InputError(f"swell is a share of mean_velocity, below 1; got {swell!r}")
-        checked = {
-            "mean_velocity": positive("mean_velocity", self.mean_velocity, "m/s"),
-            "length_scales": sides,
-            "heading": finite("heading", self.heading, "rad"),
-            "angle": angle,
-            "offset": pair("offset", self.offset, "m"),
-            "drift": pair("drift", self.drift, "m/s"),
-            "swell": swell,
-            "swell_period": positive("swell_period", self.swell_period, "s"),
-            "swell_phase": finite("swell_phase", self.swell_phase, "rad"),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        store(self, positive, "m/s", "mean_velocity")
+        store(self, pair, "m/s", "drift")
+        store(self, finite, "rad", "heading", "swell_phase")
+        store(self, positive, "rad", "angle")
+        store(self, positive, "s", "swell_period")
+        store(self, non_negative, "", "swell")
+        if self.angle >= math.pi:
+            raise InputError(f"angle must lie between 0 and pi [rad]; got {self.angle!r}")
+        if self.swell >= 1.0:
+            raise InputError(f"swell is a share of mean_velocity, below 1; got {self.swell!r}")
 
     @property
     def length_scale(self) -> float:
@@ -169,16 +158,13 @@ class ShapedCells(Cells):
     @cached_property
     def waves(self) -> WaveFlow:
         """The two waves of the cells, without their swell."""
-
-        def turned(vector: Array, angle: float) -> Array:
-            cos, sin, (x, y) = math.cos(angle), math.sin(angle), vector
-            return np.array([cos * x - sin * y, sin * x + cos * y])
-
         (p_size, q_size), half = math.pi / np.array(self.length_scales), 0.5 * self.angle
         p = p_size * np.array([math.cos(-half), math.sin(-half)])
         q = q_size * np.array([math.cos(half), math.sin(half)])
         bisector = np.mean([math.atan2(*wave[::-1]) for wave in (p - q, p + q)])
-        p, q = (turned(wave, self.heading - float(bisector)) for wave in (p, q))
+        turn = self.heading - float(bisector)
+        cos, sin = math.cos(turn), math.sin(turn)
+        p, q = (np.array([cos * x - sin * y, sin * x + cos * y]) for x, y in (p, q))
         wavevectors = np.stack([p - q, p + q])
         amplitude = self.mean_velocity / math.sqrt(2.0 * float(p @ p + q @ q))
         shift = wavevectors @ np.array(self.offset)
@@ -222,7 +208,7 @@ class SuperposedFlow(Flow):
         """Check the components and the wind, and store them as tuples."""
         given = self.components
         parts = tuple(given) if isinstance(given, (tuple, list)) else (None,)
-        object.__setattr__(self, "wind", pair("wind", self.wind, "m/s"))
+        store(self, pair, "m/s", "wind")
         single = all(isinstance(part, Flow) and not isinstance(part, type(self)) for part in parts)
         if not single or not (parts or any(self.wind)):
             raise InputError(
@@ -254,8 +240,7 @@ class SuperposedFlow(Flow):
             u, v = east, north
             for part in parts:
                 more_u, more_v = part(x, y, t)
-                u = u + more_u
-                v = v + more_v
+                u, v = u + more_u, v + more_v
             return u, v
 
         return velocity

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, Brief, frozen
-from sparsefit.errors import InputError, non_negative, one_of
+from sparsefit.errors import InputError, non_negative, one_of, store
 from sparsefit.flight.flow import Flow, as_flow
 from sparsefit.flight.vehicle import MOST_SAMPLES, PointMassVehicle
 
@@ -19,7 +21,7 @@ FRAMES = {
     "ENU": "x east, y north; headings counter-clockwise from east",
     "NED": "x north, y east; headings clockwise from north",
 }
-LARGEST = 1e60  # [s], [m] or [m/s]: fourth powers do not overflow
+LARGEST = 1e12  # [s], [m] or [m/s]: squares are within the range of four bytes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,29 +76,24 @@ class Flight(Brief):
             InputError: as `Flight` does.
         """
         t, x = frozen("time", time, ("m",)), frozen("position", position, ("m", 2))
-        _check_rows(t, x, x)
+        _check_rows(t, x, x, None)
         return cls(t, x, np.gradient(x, t, axis=0), vehicle, flow, False, thrust, frame)
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""
-        time = frozen("time", self.time, ("m",))
-        position = frozen("position", self.position, ("m", 2))
-        velocity = frozen("velocity", self.velocity, ("m", 2))
-        _check_rows(time, position, velocity)
+        store(self, frozen, ("m",), "time")
+        store(self, frozen, ("m", 2), "position", "velocity")
+        if self.thrust is not None:
+            store(self, frozen, ("m", 2), "thrust")
+        _check_rows(self.time, self.position, self.velocity, self.thrust)
         if not isinstance(self.vehicle, PointMassVehicle):
             raise InputError(f"vehicle must be a PointMassVehicle; got {self.vehicle!r}")
+        tau, *others = self.vehicle.parameters
+        slow = LARGEST < tau < math.inf
+        if slow or tau < 1.0 / LARGEST or max(map(abs, others)) > LARGEST:
+            raise InputError(f"{self.vehicle!r} is no vehicle that flies; change the units")
         one_of("frame", self.frame, FRAMES)
-        object.__setattr__(self, "time", time)
-        object.__setattr__(self, "position", position)
-        object.__setattr__(self, "velocity", velocity)
         object.__setattr__(self, "flow", as_flow(self.flow))
-        if self.thrust is not None:
-            thrust = frozen("thrust", self.thrust, ("m", 2))
-            _check_size("thrust", thrust)
-            if len(thrust) != len(time):
-                words = f"thrust has {len(thrust)} rows for {len(time)} samples"
-                raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
-            object.__setattr__(self, "thrust", thrust)
 
     def rows(self, chosen: BoolArray) -> Flight:
         """Return the samples (m,) that are chosen, as a flight.
@@ -138,17 +135,24 @@ def level_of(name: str, value: object, unit: str) -> float:
     return level
 
 
-def _check_size(name: str, values: Array) -> None:
-    large = np.argwhere(np.abs(values) > LARGEST)
-    if len(large):
-        value = f"{values[tuple(large[0])]:g} in row {large[0][0]}"
-        raise InputError(f"{name} is {value}: no flight; change the unit")
+def streams(seed: np.random.SeedSequence, count: int) -> Iterator[np.random.Generator]:
+    """Yield the independent streams of ``seed.spawn(count)``, and leave the seed as it was."""
+    for child in range(count):
+        key = (*seed.spawn_key, child)
+        yield np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
 
 
-def _check_rows(time: Array, position: Array, velocity: Array) -> None:
+def _check_rows(time: Array, position: Array, velocity: Array, thrust: Array | None) -> None:
     """Refuse rows not one per sample, too few, absurdly large, or at times that do not increase."""
-    for name, values in (("time", time), ("position", position), ("velocity", velocity)):
-        _check_size(name, values)
+    named = {"time": time, "position": position, "velocity": velocity}
+    for name, values in {**named, **({} if thrust is None else {"thrust": thrust})}.items():
+        large = np.argwhere(np.abs(values) > LARGEST)
+        if len(large):
+            value = f"{values[tuple(large[0])]:g} in row {large[0][0]}"
+            raise InputError(f"{name} is {value}: no flight; change the unit")
+    if thrust is not None and len(thrust) != len(time):
+        words = f"thrust has {len(thrust)} rows for {len(time)} samples"
+        raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
     counts = (len(time), len(position), len(velocity))
     if len(set(counts)) != 1:
         raise InputError(

@@ -15,14 +15,12 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_integer, is_number, pair, positive
 from sparsefit.flight.flow import FlowField, as_flow
-from sparsefit.flight.record import MINIMUM_SAMPLES, SMALLEST_STEP, Flight, level_of
+from sparsefit.flight.record import MINIMUM_SAMPLES, SMALLEST_STEP, Flight, level_of, streams
 from sparsefit.flight.vehicle import MOST_SAMPLES, PointMassVehicle, ThrustSeries
 from sparsefit.flight.waves import Formula
 
 RightHandSide: TypeAlias = Callable[[float, Array], list[float]]
 
-EVEN = 1e-6  # of a sample interval: steps that differ by less do so by rounding
-STRIDE = 0.25  # a first step, in 1/(1/tau + U0 pi/L): that long DOP853 keeps to the tolerance
 EVALUATIONS = (10_000_000, 2_000)  # of the right-hand side: in all, and more for each sample
 _LSODA = threading.Lock()  # its state is one for the whole process
 
@@ -83,11 +81,19 @@ def simulate_flight(
         seed = np.random.SeedSequence(int(seed))
     if not isinstance(seed, np.random.SeedSequence):
         raise InputError(f"seed must be an integer, 0 or above, or a SeedSequence; got {seed!r}")
-    starts, process, places, speeds, clock, pushes = (  # those of `spawn(6)`, without its count
-        np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, i)))
-        for i in range(6)
-    )
-    time = _sample_times(duration, sample_rate)
+    starts, process, places, speeds, clock, pushes = streams(seed, 6)
+    span, rate = positive("duration", duration, "s"), positive("sample_rate", sample_rate, "Hz")
+    if span * rate > MOST_SAMPLES:
+        words = f"duration * sample_rate is {span * rate:.3g} samples"
+        raise InputError(f"{words}; keep it below {MOST_SAMPLES}")
+    if rate > 1.0 / SMALLEST_STEP:
+        raise InputError(f"sample_rate is {rate:g} Hz; keep it below {1.0 / SMALLEST_STEP:g} Hz")
+    if (samples := round(span * rate) + 1) < MINIMUM_SAMPLES:
+        raise InputError(
+            f"duration {span} s at sample_rate {rate} Hz gives {samples} samples, a flight needs "
+            f"{MINIMUM_SAMPLES}: fly longer or sample faster"
+        )
+    time = np.arange(samples) / rate
     if not is_number(time_jitter, 0.0) or time_jitter >= 0.5:
         raise InputError(
             f"time_jitter is a share of 1/sample_rate in [0, 0.5); got {time_jitter!r}"
@@ -105,13 +111,12 @@ def simulate_flight(
     jitter = level_of("velocity_noise", velocity_noise, "m/s")
     level = level_of("thrust_noise", thrust_noise, "m/s^2")
     logged = None if thrust is None else thrust.at(time)
-    most = EVALUATIONS[0] + EVALUATIONS[1] * len(time)
     flow_at = true_flow.formula(math) if true_flow else lambda _x, _y, _t: (0.0, 0.0)
     speed = getattr(true_flow, "mean_velocity", 0.0)
     pace = vehicle.rate + (2.0 * math.pi * speed / period if period else math.nan)
-    right_hand_side = _right_hand_side(flow_at, vehicle, thrust, most)
-    stride = STRIDE / pace if pace > 0 else math.nan
-    states = _integrate(right_hand_side, state, time, kicks, stride)
+    stride = 0.25 / pace if pace > 0 else math.nan  # that long DOP853 keeps to the tolerance
+    motion = _right_hand_side(flow_at, vehicle, thrust, EVALUATIONS[0] + EVALUATIONS[1] * samples)
+    states = _integrate(motion, state, time, kicks, stride)
     if logged is not None:
         logged = logged + level * pushes.standard_normal(logged.shape)
     return Flight(
@@ -122,25 +127,6 @@ def simulate_flight(
         flow=true_flow,
         thrust=logged,
     )
-
-
-def _sample_times(duration: float, sample_rate: float) -> Array:
-    """Return t = 0, 1/rate, 2/rate, ... [s], (m,), up to the duration."""
-    span = positive("duration", duration, "s")
-    rate = positive("sample_rate", sample_rate, "Hz")
-    if span * rate > MOST_SAMPLES:
-        raise InputError(
-            f"duration * sample_rate is {span * rate:.3g} samples; keep it below {MOST_SAMPLES}"
-        )
-    if rate > 1.0 / SMALLEST_STEP:
-        raise InputError(f"sample_rate is {rate:g} Hz; keep it below {1.0 / SMALLEST_STEP:g} Hz")
-    intervals = round(span * rate)
-    if intervals + 1 < MINIMUM_SAMPLES:
-        raise InputError(
-            f"duration {span} s at sample_rate {rate} Hz gives {intervals + 1} samples, a flight "
-            f"needs {MINIMUM_SAMPLES}: fly longer or sample faster"
-        )
-    return np.arange(intervals + 1) / rate
 
 
 def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator) -> Array:
@@ -155,7 +141,7 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
         return np.zeros((len(time) - 1, 1, 2))
     kicks = stream.standard_normal((len(time) - 1, substeps, 2))
     steps = np.diff(time)
-    if np.ptp(steps) <= EVEN * steps[0]:
+    if np.ptp(steps) <= 1e-6 * steps[0]:  # they differ by rounding
         return sigma * float(time[1]) / math.sqrt(substeps) * kicks
     kicks *= sigma * np.sqrt(steps * steps.mean() / substeps)[:, None, None]
     return kicks
@@ -170,9 +156,8 @@ def _right_hand_side(
     places, which `math.sin` refuses, and after ``most`` evaluations; `_integrate` sees both.
     """
     push = thrust.pointwise() if thrust else None
-    _, c, ax, ay, scale = vehicle.parameters
-    rate = vehicle.rate
-    count = 0
+    rate, count = vehicle.rate, 0
+    _, quadratic, ax, ay, scale = vehicle.parameters
 
     def derivative(t: float, state: Array) -> list[float]:
         nonlocal count
@@ -183,7 +168,7 @@ def _right_hand_side(
         except (ValueError, OverflowError):
             wx = wy = math.nan
         mx, my = push(t) if push else (0.0, 0.0)
-        own = rate + c * math.hypot(wx - vx, wy - vy) if c else rate
+        own = rate + quadratic * math.hypot(wx - vx, wy - vy) if quadratic else rate
         return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
 
     return derivative

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, frozen
-from sparsefit.errors import InputError, finite, is_real, non_negative, pair, positive
+from sparsefit.errors import InputError, finite, is_real, non_negative, pair, positive, store
 
 MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
 
@@ -47,15 +47,11 @@ class PointMassVehicle:
 
     def __post_init__(self) -> None:
         """Check the parameters and store them as floats."""
-        drag = non_negative("drag", self.drag, "1/m")
-        response = self.response_time
-        if not (drag > 0 and is_real(response) and float(response) == math.inf):
-            response = positive("response_time", response, "s")
-        thrust = pair("thrust_acceleration", self.thrust_acceleration, "m/s^2")
-        object.__setattr__(self, "response_time", float(response))
-        object.__setattr__(self, "thrust_acceleration", thrust)
-        object.__setattr__(self, "drag", drag)
-        object.__setattr__(self, "thrust_scale", finite("thrust_scale", self.thrust_scale))
+        store(self, non_negative, "1/m", "drag")
+        if not (self.drag and is_real(self.response_time) and self.response_time == math.inf):
+            store(self, positive, "s", "response_time")
+        store(self, pair, "m/s^2", "thrust_acceleration")
+        store(self, finite, "", "thrust_scale")
 
     @property
     def linear(self) -> bool:
@@ -89,7 +85,8 @@ class PointMassVehicle:
         relative = np.asarray(flow_velocity, np.float64) - np.asarray(velocity, np.float64)
         force: Array = relative / self.response_time
         if self.drag:
-            force = force + self.drag * _length(relative) * relative
+            speed = np.hypot(relative[..., :1], relative[..., 1:])
+            force = force + self.drag * speed * relative
         return force + self.thrust(thrust)
 
     def flow_velocity(
@@ -106,17 +103,12 @@ class PointMassVehicle:
         """
         force = np.asarray(acceleration, np.float64) - self.thrust(thrust)
         if self.drag:
-            root = np.sqrt(self.rate**2 + 4.0 * self.drag * _length(force))
+            length = np.hypot(force[..., :1], force[..., 1:])
+            root = np.sqrt(self.rate**2 + 4.0 * self.drag * length)
             relative: Array = 2.0 * force / np.where(root > 0, self.rate + root, 1.0)
         else:
             relative = self.response_time * force
         return relative + np.asarray(velocity, np.float64)
-
-
-def _length(vectors: Array) -> Array:
-    """|r| (..., 1) of vectors (..., 2)."""
-    length: Array = np.hypot(vectors[..., :1], vectors[..., 1:])
-    return length
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,10 +31,9 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, frozen
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, is_integer, one_of, positive
+from sparsefit.errors import InputError, is_integer, one_of, positive, store
 
 Formula: TypeAlias = Callable[[Any, Any, Any], tuple[Any, Any]]
-FEW = 8  # waves: below this plain floats are faster than arrays
 SPECTRA = {  # the power p of a spectrum, and a times the integral length
     "dryden": (5.0 / 2.0, 1.0),
     "von-karman": (7.0 / 3.0, 1.0 / 1.339),
@@ -157,7 +156,7 @@ class WaveFlow(Flow):
         phases = np.column_stack([self.wavevectors, -self.frequencies, shift])
         normals = np.stack([-self.wavevectors[:, 1], self.wavevectors[:, 0]])
         slopes = normals * np.hypot(self.cosine, self.sine)  # (u, v) where a phase's sine is 1
-        if functions is math and len(shift) > FEW:
+        if functions is math and len(shift) > 8:  # of fewer waves plain floats are faster
 
             def of_many(x: float, y: float, t: float) -> tuple[float, float]:
                 u, v = slopes.dot(np.sin(phases.dot((x, y, t, 1.0)))).tolist()
@@ -204,10 +203,10 @@ class Turbulence(Flow):
 
     def __post_init__(self) -> None:
         """Check the parameters and store the numbers as floats."""
-        object.__setattr__(self, "intensity", positive("intensity", self.intensity, "m/s"))
-        object.__setattr__(self, "length", positive("length", self.length, "m"))
+        store(self, positive, "m/s", "intensity")
+        store(self, positive, "m", "length")
         if self.memory is not None:
-            object.__setattr__(self, "memory", positive("memory", self.memory, "s"))
+            store(self, positive, "s", "memory")
         one_of("spectrum of turbulence", self.spectrum, SPECTRA)
         if not is_integer(self.seed, 0):
             raise InputError(f"seed must be an integer, 0 or above; got {self.seed!r}")

@@ -13,7 +13,7 @@ from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.logs import csv_file, igc_file, parquet_file, ulog_file
 from sparsefit.logs.flight_table import FlightTable
-from sparsefit.logs.layout import Columns, Layout
+from sparsefit.logs.layout import Layout
 from sparsefit.whole_file import regular_file, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
@@ -29,7 +29,7 @@ def read_flight(
     path: str | os.PathLike[str],
     *,
     vehicle: PointMassVehicle | None = None,
-    columns: Columns = None,
+    columns: str | None = None,
     origin: tuple[float, float] | None = None,
     epoch: str | datetime | None = None,
 ) -> Flight:
@@ -48,18 +48,18 @@ def read_flight(
         path: the file.
         vehicle: used in place of the one in the file.
         columns: of a table with other columns which of them are read, and their units:
-            ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"`` or a mapping of the same; without a
-            unit that in the header holds. Longitude and latitude, degrees, become metres on a local
-            plane about their middle, x east and y north; times may be ISO 8601, and then are
-            seconds since the first.
+            ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"``; without a unit that in the header
+            holds. Longitude and latitude, degrees, become metres on a local plane about their
+            middle, x east and y north; times may be ISO 8601: then they are seconds since the
+            first.
         origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has
             places on the Earth: several logs then have one frame. By default its own middle.
         epoch: ISO time where t = 0 shall be, of a log that has times of a calendar. By default
             its first sample.
 
     Raises:
-        InputError: naming file, line and column, if the file is missing, is not a flight, holds
-            several vehicles, or there is no vehicle in it and none is given.
+        InputError: naming file, line and column, if the file is missing, is not a flight, or there
+            is no vehicle in it and none is given.
         MissingExtra: for longitude and latitude without pyproj, for logs of PX4 without pyulog, for
             IGC files without aerofiles.
     """

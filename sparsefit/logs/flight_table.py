@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from typing import Any
 
@@ -56,7 +56,7 @@ class FlightTable:
     """
 
     columns: dict[str, Array]
-    settings: Mapping[str, float]
+    settings: Mapping[str, float] = field(default_factory=dict)
     flow: Flow | None = None
     frame: str = ""
     notes: tuple[str, ...] = ()

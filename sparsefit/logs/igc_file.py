@@ -8,17 +8,15 @@ x east and y north.
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from importlib import import_module
 from typing import BinaryIO
 
 import numpy as np
 
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.logs.flight_table import POSITIONS, FlightTable
-from sparsefit.logs.layout import Layout
-from sparsefit.logs.plane import plane_of
-
-LARGEST = 100_000_000  # bytes: ten fixes a second for two days
+from sparsefit.logs.flight_table import FlightTable
+from sparsefit.logs.layout import Layout, Source
 
 
 def decode(file: BinaryIO, layout: Layout) -> FlightTable:
@@ -29,9 +27,10 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         MissingExtra: without aerofiles, or without pyproj.
     """
     layout.refuse_any("an IGC file")
-    text = file.read(LARGEST + 1).decode("utf-8", errors="replace")
-    if len(text) > LARGEST:
-        raise InputError(f"more than {LARGEST / 1e6:.0f} MB: no recording of a flight")
+    most = 100_000_000  # bytes: ten fixes a second for two days
+    text = file.read(most + 1).decode("utf-8", errors="replace")
+    if len(text) > most:
+        raise InputError(f"more than {most / 1e6:.0f} MB: no recording of a flight")
     try:
         igc = import_module("aerofiles.igc")
     except ImportError:
@@ -48,14 +47,14 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     valid = [fix for fix in fixes if fix["validity"] == "A"]  # three-dimensional
     if not valid:
         raise InputError(f"none of {len(fixes)} fixes is valid; give a recording of a flight")
-    epoch = valid[0]["datetime"]
-    time = np.array([(fix["datetime"] - epoch).total_seconds() for fix in valid])
-    longitude, latitude = (np.array([fix[name] for fix in valid]) for name in ("lon", "lat"))
-    plane = plane_of(longitude, latitude, ("longitude", "latitude"), layout.origin)
-    notes = [f"fixes from {epoch:%Y-%m-%d %H:%M:%S} UTC, rounded to 1.9 m", plane.words]
+    clock = [fix["datetime"].replace(tzinfo=None) for fix in valid]
+    cells = {"time": np.array(clock, "M8[us]")}
+    cells |= {name: np.array([fix[name] for fix in valid]) for name in ("lon", "lat")}
+    degrees = replace(layout, sources={"x": Source("lon"), "y": Source("lat")})
+    table = degrees.flight_table(list(cells), lambda _: cells, "fix {}".format, dict)
+    notes = [f"fixes from {clock[0]:%Y-%m-%d %H:%M:%S} UTC, rounded to 1.9 m", *table.notes[1:]]
     if len(valid) < len(fixes):
         notes.append(f"{len(fixes) - len(valid)} of {len(fixes)} fixes are not valid, and left out")
     if damaged:
         notes.append("some records cannot be read, and are left out")
-    columns = dict(zip(POSITIONS, (time, *plane.position.T), strict=True))
-    return FlightTable(columns, {}, None, "ENU", tuple(notes), plane.origin, epoch)
+    return replace(table, notes=tuple(notes))

@@ -12,7 +12,6 @@ name no zone.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -29,8 +28,6 @@ from sparsefit.logs.plane import plane_of
 
 Cells: TypeAlias = "np.ndarray[Any, Any]"
 """The cells of a column, (m,): numbers, moments (``datetime64``) or texts (objects)."""
-Columns: TypeAlias = "str | Mapping[str, str] | None"
-"""A column map as it is typed, or as a mapping of fields to columns."""
 ANGLES = {"deg": 1.0, "°": 1.0, "degrees": 1.0}
 LENGTHS = {"m": 1.0, "metres": 1.0, "meters": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048,
            "mi": 1609.344, "nmi": 1852.0} | ANGLES  # fmt: skip
@@ -43,11 +40,6 @@ UNITS = {
           "mph": 0.44704, "kn": 1852.0 / 3600.0, "knots": 1852.0 / 3600.0},
     "a": {"m/s^2": 1.0, "m/s2": 1.0, "cm/s^2": 1e-2, "ft/s^2": 0.3048, "g": 9.80665},
 }  # fmt: skip
-_WITH_UNIT = re.compile(r"(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))")
-_OF_VEHICLES = re.compile(  # a name of columns that tell vehicles apart
-    r"vehicle|drifter|buoy|platform|aircraft|callsign|flight|trip|trajectory|icao24|tail|"
-    r"registration|device|ship|mmsi|(.*[^a-z0-9])?(id|identifier)"
-)
 
 
 class Source(NamedTuple):
@@ -56,8 +48,29 @@ class Source(NamedTuple):
     column: str
     unit: str = ""
 
+    @classmethod
+    def of(cls, heading: str) -> Source:
+        """Return the name of a column and the unit behind it, ``u [cm/s]`` or ``u (cm/s)``."""
+        match = re.fullmatch(r"(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", heading)
+        return cls(match[1], (match[2] or match[3] or "").strip()) if match else cls(heading)
+
+    def factor(self, name: str) -> float:
+        """Return the SI value of a unit of a field, 1 for degrees; `InputError` on a wrong unit."""
+        units = UNITS[name[0]]
+        if self.unit and self.unit not in units:
+            raise InputError(f"{name}: {unknown('unit', self.unit, units)}")
+        return units[self.unit] if self.unit else 1.0
+
+    def headings(self, names: list[str]) -> list[str]:
+        """Return the names that are the column: exactly, but for their unit, or their case."""
+        for key in (str, lambda name: Source.of(name).column,
+                    lambda name: Source.of(name).column.casefold()):  # fmt: skip
+            if same := [name for name in names if key(name) == key(self.column)]:
+                return same
+        return []
+
     def __str__(self) -> str:
-        plain = not self.unit or _split(self.column).unit == self.unit
+        plain = not self.unit or Source.of(self.column).unit == self.unit
         return self.column if plain else f"{self.column} [{self.unit}]"
 
 
@@ -80,33 +93,28 @@ class Layout:
     @classmethod
     def of(
         cls,
-        columns: Columns = None,
+        columns: str | None = None,
         origin: tuple[float, float] | None = None,
         epoch: str | datetime | None = None,
     ) -> Layout:
-        """Return the layout of ``time=t,x=lon[deg],...``, or of a mapping of the same.
+        """Return the layout of ``time=t,x=lon[deg],...``.
 
         Raises:
             InputError: on a field that is none, or is given twice, on an unknown unit, and on an
                 origin or epoch that is none.
         """
-        pairs = list(columns.items()) if isinstance(columns, Mapping) else []
-        if columns and not pairs:
-            if not isinstance(columns, str):
-                raise InputError(f"columns must be text, time=t,x=lon,y=lat, or a mapping of it; "
-                                 f"got {columns!r}")  # fmt: skip
-            for text in columns.split(","):
-                name, _, column = (part.strip() for part in text.partition("="))
-                if not name or not column:
-                    raise InputError(f'columns: "{text}" is not NAME=VALUE, as in time=t')
-                pairs.append((name, column))
+        if columns is not None and not isinstance(columns, str):
+            raise InputError(f"columns must be text, time=t,x=lon,y=lat; got {columns!r}")
         sources: dict[str, Source] = {}
-        for name, text in pairs:
+        for text in columns.split(",") if columns else ():
+            name, _, column = (part.strip() for part in text.partition("="))
+            if not name or not column:
+                raise InputError(f'columns: "{text}" is not NAME=VALUE, as in time=t')
             one_of("field", name, (*COLUMNS, *PUSH))
             if name in sources:
                 raise InputError(f"columns: {name} is given twice; keep one")
-            sources[name] = _split(str(text))
-            _factor(name, sources[name].unit)
+            sources[name] = Source.of(column)
+            sources[name].factor(name)
         place = None if origin is None else pair("origin", origin, "degrees")
         if place is not None and not (abs(place[0]) <= 360.0 and abs(place[1]) <= 90.0):
             raise InputError(f"origin must be longitude and latitude in degrees; got {place}")
@@ -124,23 +132,19 @@ class Layout:
         chosen: dict[str, Source] = {}
         for name in (*COLUMNS, *PUSH):
             source, mapped = self.sources.get(name, Source(name)), name in self.sources
-            headings = _matching(source.column, names)
+            headings = source.headings(names)
             if not mapped and (not headings or (self.sources and name in PUSH)):
                 continue
             if not headings:
-                wanted = source.column
-                raise InputError(f'no column "{wanted}"{suggestion(wanted, names)}')
+                raise InputError(f'no column "{source.column}"{suggestion(source.column, names)}')
             if len(headings) > 1:
                 raise InputError(f"column {headings[0]} appears more than once; keep one of each")
-            unit = source.unit or _split(headings[0]).unit
-            if mapped and source.column.casefold().startswith(("lon", "lat")):
-                unit = unit or "deg"
-            _factor(name, unit)
+            degrees = mapped and source.column.casefold().startswith(("lon", "lat"))
+            unit = source.unit or Source.of(headings[0]).unit or "deg" * degrees
             chosen[name] = Source(headings[0], unit)
         pairs = [pair for pair in (VELOCITY, PUSH) if set(pair) & set(chosen)]
         needed = (*POSITIONS, *sum(pairs, ())) if chosen else COLUMNS
-        missing = [name for name in needed if name not in chosen]
-        if missing:
+        if missing := [name for name in needed if name not in chosen]:
             header = ascii(", ".join(names)[:200])[1:-1] or "nothing"
             remedy = "rename or add it, or say which it is: --columns time=t,x=lon,..."
             raise InputError(f"no column {', '.join(missing)}; found {header}; {remedy}")
@@ -170,42 +174,31 @@ class Layout:
             head: says settings, flow and frame of a `FlightTable`, when all is read.
 
         Raises:
-            InputError: naming the column, and the row where it is one, if a column is missing, rows
-                are of several vehicles, a value is no number, or degrees are none.
+            InputError: naming the column, and the row where it is one, if a column is missing, a
+                value is no number, or degrees are none.
             MissingExtra: where there are degrees, without pyproj.
         """
         sources = self.chosen(names)
         used = [*dict.fromkeys(source.column for source in sources.values())]
-        naming = [own for own in names if _OF_VEHICLES.fullmatch(own.casefold())]
-        naming = [own for own in naming if own not in used]
-        cells = read([*used, *naming])
-        count = len(cells[used[0]])
-        for name in naming:
-            vehicles = Counter(str(cell).strip() for cell in cells[name].tolist())
-            if len(vehicles) > 1 and count >= 2 * len(vehicles):  # else they number the rows
-                few = ", ".join(sorted(vehicles)[:3])
-                raise InputError(
-                    f"column {name} names {len(vehicles)} vehicles ({few}): a flight is of one; "
-                    "write the rows of one to a file of their own"
-                )
+        cells = read(used)
         values: dict[str, Array] = {}
         epoch = origin = None
-        for name, (column, unit) in sources.items():
+        for name, source in sources.items():
 
-            def at(place: int, column: str = column) -> str:
+            def at(place: int, column: str = source.column) -> str:
                 return f"{row(place)}, column {column}"
 
-            moments = _since_first(cells[column], at) if name == "time" and not unit else None
-            if moments:
+            own, timed = cells[source.column], name == "time" and not source.unit
+            if moments := _since_first(own, at) if timed else None:
                 values[name], epoch = moments
             else:
-                values[name] = _factor(name, unit) * _numbers(cells[column], at)
+                values[name] = source.factor(name) * _numbers(own, at)
         words = ", ".join(f"{name} = {source}" for name, source in sources.items())
         plain = not self.sources and all(name == str(own) for name, own in sources.items())
         notes, said = () if plain else (words,), dict(head())
         if sources["x"].unit in ANGLES:
             said["frame"] = "ENU"
-            if count:
+            if len(values["x"]):
                 headings = sources["x"].column, sources["y"].column
                 plane = plane_of(values["x"], values["y"], headings, self.origin)
                 origin, notes = plane.origin, (*notes, plane.words)
@@ -241,31 +234,9 @@ def _moment(text: str) -> datetime | None:
     return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
 
 
-def _factor(name: str, unit: str) -> float:
-    """The SI value of one unit of a field, 1 for degrees; `InputError` where it is none."""
-    units = UNITS[name[0]]
-    if unit and unit not in units:
-        raise InputError(f"{name}: {unknown('unit', unit, units)}")
-    return units[unit] if unit else 1.0
-
-
-def _split(heading: str) -> Source:
-    """The name of a column, and the unit behind it."""
-    match = _WITH_UNIT.fullmatch(heading)
-    return Source(match[1], (match[2] or match[3] or "").strip()) if match else Source(heading)
-
-
-def _matching(wanted: str, names: list[str]) -> list[str]:
-    """The headings that are a name: exactly, or but for their unit, or their case."""
-    for key in (str, lambda name: _split(name).column, lambda name: _split(name).column.casefold()):
-        if headings := [name for name in names if key(name) == key(wanted)]:
-            return headings
-    return []
-
-
 def _numbers(cells: Cells, at: Callable[[int], str]) -> Array:
     """The numbers (m,). Raises `InputError`, naming the row, where a cell is none."""
-    if cells.dtype.kind == "M":
+    if cells.dtype.kind == "M" and len(cells):
         raise InputError(f"{at(0)} is a time; it must be a number")
     try:
         values: Array = cells.astype(np.float64)
@@ -283,7 +254,7 @@ def _since_first(cells: Cells, at: Callable[[int], str]) -> tuple[Array, datetim
 
     Raises InputError, naming the row, where a cell is no moment.
     """
-    if cells.dtype.kind == "M":
+    if cells.dtype.kind == "M" and len(cells):
         empty = np.flatnonzero(np.isnat(cells))
         if len(empty):
             raise InputError(f"{at(int(empty[0]))} is empty; repair or drop it")
@@ -294,12 +265,11 @@ def _since_first(cells: Cells, at: Callable[[int], str]) -> tuple[Array, datetim
     with suppress(ValueError):
         float(cells[0])
         return None
-    moments = [_moment(cell) for cell in cells]
-    if None in moments:
-        row = moments.index(None)
-        cell = ascii(cells[row].strip()[:40])
-        kind = "neither a finite number nor an ISO time" if row == 0 else "not an ISO time"
-        raise InputError(f"{at(row)}: {cell} is {kind}, 2012-07-22T14:15:00; repair or drop it")
-    first_of = moments[0]
-    seconds = [(moment - first_of).total_seconds() for moment in moments if moment and first_of]
-    return np.array(seconds), first_of
+    moments: list[datetime] = []
+    for row, cell in enumerate(cells):
+        if (moment := _moment(cell)) is None:
+            kind = "not an ISO time" if row else "neither a finite number nor an ISO time"
+            words = f"{at(row)}: {cell.strip()[:40]!a} is {kind}, 2012-07-22T14:15:00"
+            raise InputError(f"{words}; repair or drop it")
+        moments.append(moment)
+    return np.array([(own - moments[0]).total_seconds() for own in moments]), moments[0]

@@ -34,12 +34,10 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     from pyarrow import parquet
 
     def read(wanted: list[str]) -> dict[str, Cells]:
-        # Texts stay packed as places in a dictionary until they are cells, which share them.
-        source = parquet.ParquetFile(file, read_dictionary=wanted)
         meta = source.metadata
         groups = [meta.row_group(group) for group in range(meta.num_row_groups)]
         for name in wanted:
-            kind = source.schema_arrow.field(name).type
+            kind = schema.field(name).type
             if arrow.types.is_nested(kind):
                 raise InputError(f"column {name} holds {kind}; it must hold numbers")
             place = [meta.schema.column(i).path for i in range(meta.num_columns)].index(name)
@@ -47,7 +45,8 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
             if unpacked > 64 * meta.num_rows + (1 << 20):  # bytes, and of pages and dictionaries
                 size = f"column {name} unpacks to {unpacked / 1e6:.0f} MB for {meta.num_rows} rows"
                 raise InputError(f"{size}: no log of a flight; write it again")
-        table = source.read(columns=wanted)
+        # Texts stay packed as places in a dictionary until they are cells, which share them.
+        table = parquet.ParquetFile(file, read_dictionary=wanted).read(columns=wanted)
         return {name: _cells(table.column(name)) for name in wanted}
 
     try:

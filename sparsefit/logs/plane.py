@@ -17,8 +17,6 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra
 
-POLAR = 85.0  # degrees: few fly beyond, and whoever seems to has likely exchanged his columns
-
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -64,17 +62,18 @@ def plane_of(
     """
     x, y = names
     swap = f"latitude and longitude look swapped: exchange them, x={y}, y={x}"
-    low, high = float(latitude.min()), float(latitude.max())
-    if max(-low, high) > 90.0:
-        remedy = swap if np.abs(longitude).max() <= 90.0 else "check the columns and their units"
-        raise InputError(f"{y} goes to {low:g} … {high:g}°, no latitude; {remedy}")
-    if longitude.min() < -180.0 or longitude.max() > 360.0:
-        ends = f"{longitude.min():g} … {longitude.max():g}°"
-        raise InputError(f"{x} goes to {ends}, no longitude; check the columns and their units")
-    if np.median(np.abs(latitude)) > POLAR and np.abs(longitude).max() <= POLAR:
-        raise InputError(f"{y} tells latitudes of {low:.4g} … {high:.4g}°, at a pole; {swap}")
+    check = "check the columns and their units"
+    east_to, north_to = np.abs(longitude).max(), np.abs(latitude).max()
+    x_ends, y_ends = (f"{v.min():.4g} … {v.max():.4g}°" for v in (longitude, latitude))
+    if north_to > 90.0:
+        raise InputError(f"{y} goes to {y_ends}, no latitude; {swap if east_to <= 90.0 else check}")
+    if longitude.min() < -180.0 or east_to > 360.0:
+        raise InputError(f"{x} goes to {x_ends}, no longitude; {check}")
+    # Few fly beyond 85 degrees north, and whoever seems to has likely exchanged the columns.
+    if np.median(np.abs(latitude)) > 85.0 >= east_to:
+        raise InputError(f"{y} tells latitudes of {y_ends}, at a pole; {swap}")
     crossed = x.casefold().startswith("lat") and y.casefold().startswith("lon")
-    if crossed and np.median(np.abs(longitude)) <= POLAR:  # else the header has them wrong
+    if crossed and np.median(np.abs(longitude)) <= 85.0:  # else the header has them wrong
         raise InputError(f"x = {x} and y = {y}: x is east, the longitude; {swap}")
     # In one piece past 180 degrees.
     longitude = longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0

@@ -206,21 +206,7 @@ def altered(name: str, theta: Any, target: Array, draw: np.random.Generator) -> 
             count = max(1, k // 5)
             to, source = draw.choice(k, count, replace=False), draw.integers(0, k, count)
             theta[:, to] = theta[:, source] * draw.choice([-2.0, -1.0, 1.0, 3.0], count)
-        case "nearly dependent columns":  # a quarter differs from others in the ninth digit
-            to, source = draw.choice(k, k // 4, replace=False), draw.integers(0, k, k // 4)
-            theta[:, to] = theta[:, source] + 1e-9 * draw.standard_normal((len(theta), k // 4))
-        case "dead columns":  # an eighth is zero in all samples but one
-            for column in draw.choice(k, k // 8, replace=False):
-                theta[:, column] = 0.0
-                theta[draw.integers(len(theta)), column] = 1.0
         case "units 1e-12 to 1e12":
             theta *= 10.0 ** draw.uniform(-12, 12, k)
             target *= 10.0 ** draw.uniform(-12, 12)
-        case "fewer samples than columns":  # at most half as many
-            rows = draw.integers(4, max(5, min(theta.shape) // 2))
-            theta, target = theta[:rows], target[:rows]
-        case "a target of zeros":  # the last one
-            target[:, -1] = 0.0
-        case "a target of noise":
-            target = draw.standard_normal(target.shape)
     return theta, target

@@ -103,6 +103,9 @@ def test_bad_fields_are_named(changes, message):
         ({"time": TIME[:0], "position": PLANE[:0], "velocity": PLANE[:0]}, "3 samples; got 0"),
         ({"position": PLANE * 1e100}, "position is .* in row 0: no flight"),
         ({"velocity": PLANE * -1e300}, "velocity is .* no flight"),
+        ({"vehicle": PointMassVehicle(1e-30)}, "is no vehicle that flies; change the units"),
+        ({"vehicle": PointMassVehicle(1e308)}, "is no vehicle that flies"),
+        ({"vehicle": PointMassVehicle(0.5, (0.0, -1e30))}, "is no vehicle that flies"),
         ({"time": TIME * 1e-320}, r"samples .* s apart are no flight; give time in seconds"),
     ],
 )

@@ -207,6 +207,8 @@ def test_bad_csv_is_one_line_that_names_the_place(csv_of, text, message):
             lambda t: t.set_column(0, "time", pa.array([1, None, 3, 4], pa.timestamp("s"))),
             "row 1, column time is empty",
         ),
+        (lambda t: t.set_column(0, "time", pa.array([[1.0]] * 4)), "column time holds list"),
+        (lambda t: t.set_column(0, "time", pa.array([1, 2, 3, 4], pa.timestamp("s")))[:0], "got 0"),
         (lambda t: t.slice(0, 2), "at least 3 samples"),
         (lambda t: t.replace_schema_metadata({"pandas": "{}"}), "no vehicle"),
         (lambda t: t.replace_schema_metadata({"response_time": "a"}), "metadata, response_time"),

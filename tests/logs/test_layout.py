@@ -1,4 +1,4 @@
-"""Foreign tables: column maps, units, ISO times, degrees on a plane, several vehicles in a file."""
+"""Foreign tables: column maps, units, ISO times, degrees on a plane."""
 
 from pathlib import Path
 
@@ -48,8 +48,6 @@ WANTED = np.array(ROWS) * [1e-3, 1e3, 0.3048, 1e-2, 1852 / 3600]
 def test_units_of_a_column_map_become_si(file, delimiter):
     path = file(csv_text(("t", "east", "north", "u", "v"), ROWS, delimiter))
     np.testing.assert_allclose(in_si(path, columns=MAPPED), WANTED, rtol=1e-15)
-    pairs = dict(pair.split("=") for pair in MAPPED.split(","))
-    np.testing.assert_allclose(in_si(path, columns=pairs), WANTED, rtol=1e-15)
 
 
 def test_parquet_takes_the_same_map_and_its_own_times(tmp_path):
@@ -145,25 +143,6 @@ def test_degrees_without_pyproj_name_the_extra(monkeypatch):
         read_table(DRIFTER, Layout.of("time=Date,x=Lat,y=Long"))
 
 
-SEVERAL = csv_text(
-    ("Id", "time", "x", "y"),
-    [(name, t, t, t * (1 + i)) for i, name in enumerate("ab") for t in range(4)],
-)
-
-
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
-def test_several_vehicles_in_a_file_are_refused(file, suffix):
-    path = file(SEVERAL)
-    if suffix == "parquet":
-        path = path.with_suffix(".parquet")
-        columns = {"Id": list("aaaabbbb"), "time": [*range(4)] * 2}
-        pq.write_table(
-            pa.table(columns | {"x": columns["time"], "y": [0, 1, 2, 3, 0, 2, 4, 6]}), path
-        )
-    with pytest.raises(InputError, match=r"column Id names 2 vehicles \(a, b\).*of their own"):
-        sf.read_flight(path, vehicle=VEHICLE)
-
-
 def test_the_frame_is_written_and_read(tmp_path):
     time, position = np.arange(5.0), np.arange(10.0).reshape(5, 2)
     flight = sf.Flight.from_positions(time, position, VEHICLE, frame="NED")
@@ -253,16 +232,6 @@ def test_times_beyond_all_calendars_are_read_without_an_epoch(tmp_path):
     table = read_table(tmp_path / "log.parquet")
     np.testing.assert_allclose(table.columns["time"], [0.0, 1e-6, 2e-6])
     assert table.epoch is None
-
-
-def test_which_columns_name_vehicles(file):
-    numbered = file(csv_text(("id", "time", "x", "y"), [(i, i, i, i) for i in range(4)]))
-    assert sf.read_flight(numbered, vehicle=VEHICLE).samples == 4
-    for name in ("flight_id", "MMSI", "Trip ID"):
-        table = SEVERAL.replace("Id", name, 1)
-        with pytest.raises(InputError, match=f"column {name} names 2 vehicles"):
-            read_table(file(table))
-    assert len(read_table(file(SEVERAL.replace("Id", "grid", 1))).columns["time"]) == 8
 
 
 def test_a_frame_of_pandas_with_times_as_text(tmp_path):

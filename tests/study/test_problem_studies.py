@@ -228,7 +228,7 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\ngenerator = "wyde"\n', 'did you mean "wide"?'),
         ('[[problems]]\nfile = "no.npz"\n', "no such file"),
         ('[[problems]]\nfile = "x.bin"\n', "must be a file of kind"),
-        ('[[problems]]\ndataset = "iris"\nalter = "ded columns"\n', 'did you mean "dead columns"?'),
+        ('[[problems]]\ndataset = "iris"\nalter = "as it was"\n', 'did you mean "as it is"?'),
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
         ("[[problems]]\n", "exactly one of flights, file, dataset, generator"),
         (SMALL + SMALL, "twice"),
