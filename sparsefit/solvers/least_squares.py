@@ -202,6 +202,8 @@ def _products(problem: RegressionProblem, on: IntArray) -> Array:
     """Z_J'Z_J/m of the columns of a support (j,), a copy."""
     if problem.columns > FEW:
         return problem.design.products(on)
+    if len(on) == problem.columns:
+        return problem.statistics.gram.copy()
     # Whole rows first, which is five times faster than rows and columns at once.
     return problem.statistics.gram.take(on, 0).take(on, 1)
 
