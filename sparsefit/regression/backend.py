@@ -1,6 +1,7 @@
 """What a back-end is: frozen settings and a pure ``solve``."""
 
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, fields
@@ -14,6 +15,7 @@ from sparsefit.errors import (
     described,
     integer,
     number_setting,
+    one_line,
     one_of,
     unknown,
 )
@@ -23,6 +25,7 @@ from sparsefit.regression.problem import RegressionProblem
 
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
 AlphaFraction = float | Literal["auto"]
+Tolerance = float | None  # of a solver; None: its own
 Selection = Literal["bic", "cross-validation"]
 """The rules by which `fit` chooses an alpha_fraction of "auto"."""
 
@@ -155,7 +158,7 @@ def imported(where: str, load: Callable[[], Any]) -> Any:
     try:
         with quiet():
             return load()
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit) as error:  # a module may do anything when it is imported
         raise InputError(f"{where} cannot be loaded: {described(error)}") from error
 
 
@@ -175,6 +178,34 @@ def made(what: str, cls: Any, settings: Mapping[str, Any], **preset: Any) -> Any
         raise
     except (TypeError, ValueError) as error:
         raise InputError(f"{what} refuses these settings: {error}") from None
+
+
+def heard(
+    name: str, call: Callable[[], Any], passes: type[Exception] | tuple[()] = ()
+) -> tuple[Any, Solution]:
+    """A public solver's answer, None where it raises, and a `Solution` of its words alone.
+
+    An exception becomes the status ``error``; a warning ``inaccurate``, with its first words.
+    ``passes``: an exception that is the caller's.
+    """
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            answer = call()
+        except passes:
+            raise
+        except Exception as error:  # a public solver may raise anything
+            words = f"{name}: {described(error)}"
+            return None, Solution(None, "error", words, type(error).__name__)
+    future = DeprecationWarning | FutureWarning | PendingDeprecationWarning  # a library's, not ours
+    doubts = [
+        one_line(f"{each.category.__name__}: {each.message}", 120)
+        for each in caught
+        if not issubclass(each.category, future) and "deprecated" not in str(each.message)
+    ]
+    if not doubts:
+        return answer, Solution(None, solver_status="returned")
+    return answer, Solution(None, "inaccurate", f"{name}: {doubts[0]}", doubts[0])
 
 
 @contextmanager

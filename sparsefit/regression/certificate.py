@@ -189,17 +189,15 @@ def _certificates(
     size = penalty.value(scaled)
     primal = loss.primal(residual.square, residual.overlap, level) + alphas * size
     extended = _with_ridge(residual, scaled, alphas, penalty) if penalty.ridge else residual
-    # The gauges (p, n), or (p, 1) where targets are coupled, of C and bounds of their errors.
+    # The gauges (p, n), or (p, 1) where targets are coupled, of C and of what C may be.
     peaks = penalty.constraint(extended.correlation)
-    error = penalty.constraint(np.ones(extended.correlation.shape[1:]))
-    error = error * extended.correlation_error
+    raised = penalty.constraint(extended.correlation, extended.correlation_error)
     if penalty.coupled:
-        peaks, error = (part.max(axis=1, keepdims=True) for part in (peaks, error))
+        peaks, raised = (part.max(axis=1, keepdims=True) for part in (peaks, raised))
     dual, _ = _dual(extended, alphas, peaks, extended.square, penalty, level)
-    peaks = peaks * (1.0 + gamma) + error
     square = extended.square * (1.0 + gamma) + extended.square_error
     square = square if isinstance(loss, RootSquares) else extended.square  # a limit of s there
-    certain, doubt = _dual(extended, alphas, peaks, square, penalty, level)
+    certain, doubt = _dual(extended, alphas, raised * (1.0 + gamma), square, penalty, level)
     if isinstance(loss, RootSquares):
         square, loose = residual.square.sum(axis=1), residual.square_error.sum(axis=1)
         moved = np.sqrt(square + loose) - np.sqrt(np.maximum(square - loose, 0.0))
@@ -271,17 +269,21 @@ def _dual(
 
 
 def sharpened(
-    statistics: Statistics, weights: Array, alpha: float, plain: Certificate
+    statistics: Statistics, weights: Array, alpha: float, plain: Certificate, floor: float
 ) -> Certificate:
     """The certificate ``plain`` of weights (k, n), or that of their signs where it proves more.
 
-    plain: of a square-root fit, from the rows; alpha: the penalty, in the unit of Z'Y/m.
+    plain: of a square-root fit, from the rows; alpha: the penalty, in the unit of Z'Y/m; floor: a
+    share of the largest weight, below which a weight has no sign, such as an interior point's.
     """
     columns, targets = weights.shape
-    design, used = statistics.design, np.flatnonzero(weights.any(axis=1))
+    design = statistics.design
+    scaled = weights * design.rms[:, None]
+    large = np.abs(scaled) > floor * np.abs(scaled).max()
+    used = np.flatnonzero(large.any(axis=1))
     if not len(used):
         return plain
-    rows, signs = design.gram_rows(used), np.sign(weights[used])
+    rows, signs = design.gram_rows(used), np.where(large, np.sign(scaled), 0.0)[used]
     multipliers = np.zeros(signs.shape)
     for target, column in enumerate(signs.T):
         on = np.flatnonzero(column)
@@ -299,7 +301,7 @@ def sharpened(
     wider = peak * (1.0 + gamma) + gamma * float(size.max())
     longer = norm * (1.0 + gamma) + gamma * float(np.sum(size**2))
     sure = min(alpha / wider, total / np.sqrt(longer)) * (product - gamma * float(size @ level))
-    reach = float(np.sum(level + np.abs(weights * design.rms[:, None]).sum(axis=0)))
+    reach = float(np.sum(level + np.abs(scaled).sum(axis=0)))
     doubt = total * gamma * (total + reach) + 4.0 * gamma * (plain.primal + abs(dual))
     value = max(plain.primal - dual, 0.0) / total**2
     most = max(plain.primal - sure + doubt, 0.0) / total**2

@@ -188,8 +188,10 @@ def _gaps(
     weights = np.stack([np.asarray(solutions[i].weights) for i in places])
     proofs = duality_gaps(problem.design, problem.target, weights, alphas[places], penalty)
     for i, values, certificate in zip(places.tolist(), weights, proofs, strict=True):
-        if isinstance(penalty.loss, RootSquares) and not certificate.proves(tolerance):
-            certificate = sharpened(problem.statistics, values, float(alphas[i]), certificate)
+        for floor in (0.0, 1e-8) if isinstance(penalty.loss, RootSquares) else ():
+            if not certificate.proves(tolerance):
+                alpha = float(alphas[i])
+                certificate = sharpened(problem.statistics, values, alpha, certificate, floor)
         gaps[i] = certificate
     return gaps
 

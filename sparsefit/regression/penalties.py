@@ -84,9 +84,16 @@ class Penalty(ABC):
         peaks: Array = self.block_dual_norms(values).max(axis=-2)
         return peaks
 
-    def constraint(self, values: Array) -> Array:
-        """The gauge that a dual point must not exceed alpha in: the dual norm."""
-        return self.dual_norm(values)
+    def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
+        """The gauge that a dual point must not exceed alpha in: the dual norm, at most.
+
+        error (..., n): by how much each entry of the values may be off.
+        """
+        peaks = self.dual_norm(values)
+        if isinstance(error, float):
+            return peaks
+        raised: Array = peaks + error * self.dual_norm(np.ones(values.shape[-2:]))
+        return raised
 
     def excess(self, values: Array, alpha: Array) -> Array:
         """The value that the conjugate of alpha * norm adds where it is finite: 0 for a norm."""
@@ -97,7 +104,8 @@ class Penalty(ABC):
 
         correlation Z'R/m and values (k, n): at the optimum of the columns that are in play.
         """
-        excess: Array = self.block_dual_norms(correlation).max(axis=-1) / alpha - 1.0
+        pull = self.block_dual_norms(correlation).max(axis=-1)
+        excess: Array = pull / (alpha or 1e-150) - 1.0  # no column is wanted: alpha_max is 0
         return excess[self.blocks]
 
     def restricted(self, index: IntArray) -> Self | None:
@@ -184,16 +192,17 @@ class BoundedValues(AbsoluteValues):
         return np.where(within.all(axis=(-2, -1)), super().norm(values), np.inf)
 
     def block_dual_norms(self, values: Array) -> Array:
-        return self._pull(values, self.upper > 0, self.lower < 0)
+        return self._pull(values, 0.0, self.upper > 0, self.lower < 0)
 
-    def constraint(self, values: Array) -> Array:
-        peaks: Array = self._pull(values, np.isinf(self.upper), np.isinf(self.lower)).max(axis=-2)
+    def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
+        free = (np.isinf(self.upper), np.isinf(self.lower))
+        peaks: Array = self._pull(values, np.atleast_1d(error)[..., None, :], *free).max(axis=-2)
         return peaks
 
-    def _pull(self, values: Array, up: BoolArray, down: BoolArray) -> Array:
-        """C_jt / omega_j upwards and downwards, where each (k,) is allowed; 0 elsewhere."""
-        rise = np.where(up[:, None], values, 0.0)
-        fall = np.where(down[:, None], -values, 0.0)
+    def _pull(self, values: Array, error: Array | float, up: BoolArray, down: BoolArray) -> Array:
+        """(C_jt + error) / omega_j up and down, where each (k,) is allowed; 0 elsewhere."""
+        rise = np.where(up[:, None], values + error, 0.0)
+        fall = np.where(down[:, None], error - values, 0.0)
         pull: Array = np.maximum(np.maximum(rise, fall), 0.0) / self.weights[:, None]
         return pull
 
@@ -251,7 +260,7 @@ class SquaredNorm(Penalty):
     def dual_norm(self, values: Array) -> Array:
         return np.full((*values.shape[:-2], 1), float(self.count))
 
-    def constraint(self, values: Array) -> Array:
+    def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
         return np.zeros((*values.shape[:-2], 1))
 
     def prox(self, values: Array, step: float) -> Array:

@@ -23,6 +23,7 @@ from scipy import sparse
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.regression.backend import Tolerance
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
@@ -62,12 +63,7 @@ class Clarabel:
         return "" if _layers(penalty) is not None else _no_conic_form(penalty)
 
     def path(
-        self,
-        design: Design,
-        target: Array,
-        penalty: Penalty,
-        alphas: Array,
-        tolerance: float | None,
+        self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array:
         """Weights (p, k, n); tolerance: of gap and feasibility, 1e-10 where none is asked for.
 
@@ -115,7 +111,7 @@ def _solve_on(
     target: Array,
     penalty: Penalty,
     alpha: float,
-    tolerance: float | None,
+    tolerance: Tolerance,
     into: Array,
 ) -> str:
     """Write V (k, n) with these columns in play, NaN where there is none; Clarabel's status."""
@@ -208,12 +204,7 @@ class Cvxpy:
         return _no_conic_form(penalty)
 
     def path(
-        self,
-        design: Design,
-        target: Array,
-        penalty: Penalty,
-        alphas: Array,
-        tolerance: float | None,
+        self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array:
         """Weights (p, k, n); tolerance: the solver's own, 1e-9 where none is asked for."""
         matrix, unit = design.columns(np.arange(penalty.columns)), float(alphas[0])

@@ -6,8 +6,8 @@ It stops when nothing has ever left, or when the last two supports agree for all
 ``unbias``: a last ordinary least squares on the support. `PySindy` is that of PySINDy itself.
 """
 
-import warnings
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, ClassVar, Literal
@@ -15,8 +15,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.errors import MissingExtra, described, one_line
-from sparsefit.regression.backend import Checked, Solution, setting
+from sparsefit.errors import MissingExtra
+from sparsefit.regression.backend import Checked, Solution, heard, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
@@ -232,19 +232,15 @@ class PySindy(Checked):
         package: Any = import_module("pysindy")  # seconds: not before it is needed
         settings = {"alpha": self.ridge, "threshold": self.threshold}
         optimizer = package.STLSQ(max_iter=self.max_iterations, **settings)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            try:
-                optimizer.fit(problem.rows.copy(), problem.target.copy())
-            except Exception as error:  # a public package may raise anything
-                return Solution(None, "error", f"pysindy: {described(error)}", type(error).__name__)
+        fitting = partial(optimizer.fit, problem.rows.copy(), problem.target.copy())
+        answer, said = heard(self.name, fitting)
+        if answer is None:
+            return said
         weights = np.asarray(optimizer.coef_, dtype=float).T
-        doubts = [str(w.message) for w in caught if not issubclass(w.category, DeprecationWarning)]
-        words = one_line(doubts[0], 120) if doubts else "returned"
         if not weights.any():
             reason = "pysindy: no column is left: lower the threshold"
-            return Solution(None, "unidentifiable", reason, words)
-        return Solution(weights, solver_status=words)
+            return Solution(None, "unidentifiable", reason, said.solver_status)
+        return Solution(weights, solver_status=said.solver_status)
 
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
         """The weights (k, n) that one more iteration of ours makes of these."""

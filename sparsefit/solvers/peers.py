@@ -24,6 +24,7 @@ from scipy import sparse
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, integer
+from sparsefit.regression.backend import Tolerance
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES
@@ -162,8 +163,11 @@ def solved_in_parts(
     """Weights V (p, k, n) by a call that gives u (p, k b) of b targets; its time, if it says it.
 
     penalty: one that has a `kind_of`; ``dense``: a sparse design is handed over as an array.
+    Columns that are zero throughout are left out: some solvers divide by a group's norm.
     """
-    unit, omega, lambdas = float(alphas[0]), np.ones(penalty.columns), None
+    live, unit, lambdas = np.flatnonzero(design.squares > 0), float(alphas[0]), None
+    columns, omega = penalty.columns, np.ones(len(live))
+    penalty = penalty if len(live) == columns else penalty.restricted(live) or penalty
     if isinstance(penalty, SortedNorm):
         lambdas = penalty.weights
     elif isinstance(penalty, NestedNorms):
@@ -172,6 +176,7 @@ def solved_in_parts(
     elif isinstance(penalty, AbsoluteValues | GroupNorms):
         omega = penalty.weights[penalty.blocks]
     matrix = matrix_of(design)
+    matrix = matrix if len(live) == columns else matrix[:, live]
     if np.any(omega != 1.0):
         is_array = isinstance(matrix, np.ndarray)
         scaled = matrix / omega if is_array else matrix @ sparse.diags(1.0 / omega)
@@ -186,7 +191,8 @@ def solved_in_parts(
     timed = [each for each in answers if isinstance(each, Timed)]
     raw = [each.weights if isinstance(each, Timed) else each for each in answers]
     stacked = np.concatenate([u.reshape(len(alphas), -1, len(omega)) for u in raw], axis=1)
-    weights: Array = stacked.transpose(0, 2, 1) * (unit / omega)[:, None]
+    weights = np.zeros((len(alphas), columns, count))
+    weights[:, live] = stacked.transpose(0, 2, 1) * (unit / omega)[:, None]
     if not timed:
         return weights
     return Timed(weights, sum(each.wall for each in timed), sum(each.cpu for each in timed))
@@ -405,12 +411,7 @@ class Peer:
         return "" if kind_of(penalty) in kinds else f"{self.name} solves {', '.join(kinds)} only"
 
     def path(
-        self,
-        design: Design,
-        target: Array,
-        penalty: Penalty,
-        alphas: Array,
-        tolerance: float | None,
+        self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array | Timed:
         """Weights (p, k, n) of columns of unit rms; see `registry`. Raises InputError."""
         if reason := self.takes(penalty):

@@ -22,10 +22,9 @@ import signal
 import subprocess
 import sys
 import tempfile
-import warnings
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from time import perf_counter
@@ -35,8 +34,8 @@ import numpy as np
 from scipy import sparse
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, MissingExtra, SparsefitError, described, one_line, unknown
-from sparsefit.regression.backend import Solution, imported, made
+from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line, unknown
+from sparsefit.regression.backend import Solution, Tolerance, heard, imported, made
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -171,13 +170,12 @@ def answers(
     problem: RegressionProblem,
     penalty: Any,
     alpha_fractions: Sequence[float],
-    tolerance: float | None = None,
+    tolerance: Tolerance = None,
 ) -> tuple[Solution, ...]:
     """Solutions at descending penalty fractions, in the units of the problem's columns.
 
-    An exception becomes the status ``error``; a warning ``inaccurate``, with its first words: a
-    solver is not trusted to be silent. A `Command` keeps its own clock, which each of them has,
-    and its own limits: raises `Late` where it was ended at one.
+    Exceptions and warnings are told as by `heard`. A `Command` keeps its own clock, which each of
+    them has, and its own limits: raises `Late` where it was ended at one.
     """
     fractions, count = np.array(alpha_fractions, dtype=float), len(alpha_fractions)
     design, shape = problem.design, (problem.columns, problem.targets)
@@ -185,31 +183,20 @@ def answers(
     if not problem.statistics.cross.any():
         zero = Solution(np.zeros(shape), solver_status="target is zero", iterations=0)
         return (zero,) * count
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            raw = solver.path(design, problem.target, penalty, alphas, tolerance)
-            weights = np.array(raw.weights if isinstance(raw, Timed) else raw, dtype=float)
-            if weights.shape != (count, *shape):
-                raise InputError(f"weights of shape {weights.shape}, not {(count, *shape)}")
-        except Late:
-            raise
-        except Exception as error:  # a public solver may raise anything
-            words = f"{solver.name}: {described(error)}"
-            failed = Solution(None, "error", words, type(error).__name__)
-            return (failed,) * count
-    clock = (raw.wall, raw.cpu) if isinstance(raw, Timed) and isinstance(solver, Command) else None
-    future = DeprecationWarning | FutureWarning | PendingDeprecationWarning  # a library's, not ours
-    doubts = [
-        f"{each.category.__name__}: {each.message}"
-        for each in caught
-        if not issubclass(each.category, future) and "deprecated" not in str(each.message)
-    ]
-    words = one_line(doubts[0], 120) if doubts else "returned"
-    reason = f"{solver.name}: {words}" if doubts else ""
-    weights /= design.rms[:, None]
-    status: Any = "inaccurate" if doubts else "ok"
-    return tuple(Solution(each, status, reason, words, clock=clock) for each in weights)
+
+    def solved() -> tuple[Array, Any]:
+        raw = solver.path(design, problem.target, penalty, alphas, tolerance)
+        weights = np.array(raw.weights if isinstance(raw, Timed) else raw, dtype=float)
+        if weights.shape != (count, *shape):
+            raise InputError(f"weights of shape {weights.shape}, not {(count, *shape)}")
+        is_own = isinstance(raw, Timed) and isinstance(solver, Command)
+        return weights / design.rms[:, None], (raw.wall, raw.cpu) if is_own else None
+
+    answer, said = heard(solver.name, solved, Late)
+    if answer is None:
+        return (said,) * count
+    weights, clock = answer
+    return tuple(replace(said, weights=each, clock=clock) for each in weights)
 
 
 @cache
@@ -280,12 +267,7 @@ class Command:
         return "" if kind_of(penalty) else f"{self.name}: a command is handed no such penalty"
 
     def path(
-        self,
-        design: Design,
-        target: Array,
-        penalty: Penalty,
-        alphas: Array,
-        tolerance: float | None,
+        self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array | Timed:
         """Weights (p, k, n) of the program, and its time.
 
@@ -298,7 +280,7 @@ class Command:
         return solved_in_parts(call, design, target, penalty, alphas)
 
     def _solved(
-        self, task: Task, targets: slice, tolerance: float | None, remaining: dict[str, float]
+        self, task: Task, targets: slice, tolerance: Tolerance, remaining: dict[str, float]
     ) -> Timed:
         with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
             folder, matrix = Path(name), task.design

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
+from sparsefit.regression import certificate
 from sparsefit.regression.certificate import duality_gaps, gram_gaps
 from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.group_penalties import GroupNorms
@@ -360,3 +361,39 @@ def test_a_compressed_problem_has_the_gap_of_its_samples():
     for found in (by_rows[0], by_gram[0]):
         assert (found.value, found.primal) == pytest.approx((whole.value, whole.primal), rel=1e-12)
         assert found.rounding < whole.rounding  # 7 rows are summed, not 900
+
+
+@pytest.mark.parametrize("alpha", [0.5, 2.0], ids=["by the columns", "by the norm"])
+def test_the_bound_of_signs_has_each_rounding_on_its_safe_side(alpha, monkeypatch):
+    """Z'Z/m = I, V = (2, 1), u = (1, 1), |u|_1 = 2, <U, Y>/m = 3, |U|^2/m = 2, y^2 = 5."""
+    gamma, y = 1e-3, np.sqrt(5.0)
+    monkeypatch.setattr(certificate, "rounding_of", lambda count: gamma)
+    plain = certificate.Certificate("duality_gap", 1.0, 3.0 * alpha, 0.0, 0.0)
+    weights = np.array([[2.0], [1.0]])
+    found = certificate.sharpened(statistics_of(THETA, TARGET), weights, alpha, plain, 0.0)
+    dual = min(alpha, y / np.sqrt(2.0)) * 3.0
+    long = np.sqrt(2.0 * (1.0 + gamma) + 4.0 * gamma)
+    least = min(alpha / (1.0 + 3.0 * gamma), y / long) * (3.0 - 2.0 * gamma * y)
+    moved = gamma * y * (2.0 * y + 3.0) + 4.0 * gamma * (3.0 * alpha + dual)
+    assert found.value == pytest.approx((3.0 * alpha - dual) / 5.0, abs=1e-12)
+    assert found.bound == pytest.approx((3.0 * alpha - least + moved) / 5.0, rel=1e-12)
+
+
+def test_signs_are_those_of_weights_that_are_not_rounding():
+    """An interior point's 1e-12 of the wrong sign spoils the dual point of its exact fit."""
+    plain = certificate.Certificate("duality_gap", 0.5, 1.0, 0.0, 0.0)
+    weights, statistics = np.array([[2.0], [-1e-12]]), statistics_of(THETA, 2.0 * THETA[:, :1])
+    spoilt, clear = (
+        certificate.sharpened(statistics, weights, 0.5, plain, floor) for floor in (0.0, 1e-8)
+    )
+    assert clear.value == 0.0
+    assert clear.bound < 1e-13
+    assert spoilt.value >= clear.value
+
+
+def test_no_column_with_a_positive_correlation_leaves_a_proven_zero():
+    theta, target = np.array([[1.0, 2.0], [1.0, 3.0], [1.0, 1.0]]), -np.ones(3)
+    problem = RegressionProblem.from_arrays(theta, target)
+    along = sf.path(problem, backends.get("lasso", positive=True), (1.0, 0.1))
+    assert along.alpha_max == np.abs(along.weights).max() == 0.0
+    assert all(fit.status == "ok" and fit.certificate.bound < 1e-12 for fit in along.fits)

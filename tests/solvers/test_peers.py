@@ -101,6 +101,22 @@ def test_a_sparse_design_gives_the_weights_of_the_dense_one(name):
     np.testing.assert_allclose(thin, dense, atol=1e-4 * np.abs(dense).max())
 
 
+@pytest.mark.parametrize("kind", PENALTIES)
+def test_columns_of_zeros_are_left_out_and_get_a_weight_of_zero(kind):
+    theta, target = problem()
+    theta[:, GROUPS == 0] = 0.0
+
+    def call(task, targets):
+        assert task.design.any(axis=0).all()
+        assert np.array_equal(np.unique(task.groups), np.arange(task.groups.max() + 1))
+        assert task.lambdas is None or len(task.lambdas) == K - 3
+        return np.ones((2, (K - 3) * task.target[:, targets].shape[1]))
+
+    design, alphas = Design(theta, 60), np.array([1.0, 0.5])
+    weights = solved_in_parts(call, design, target, PENALTIES[kind], alphas)
+    assert np.array_equal(weights.any(axis=(0, 2)), GROUPS > 0)
+
+
 @pytest.mark.parametrize("kind", OTHERS)
 def test_conic_solvers_take_every_penalty_in_two_forms(kind):
     theta, target = problem()
