@@ -7,12 +7,8 @@ test replays a flight, and compares with the same recurrence in Python (`sparsef
 from __future__ import annotations
 
 import math
-import os
-import subprocess
 from dataclasses import asdict
 from importlib.resources import files
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Literal
 
 from sparsefit import __version__
@@ -26,7 +22,6 @@ from sparsefit.logs.flight_table import FlightTable
 from sparsefit.onboard.board import LEVELS, board_of
 from sparsefit.onboard.online import board_settings, refusal, samples_of
 from sparsefit.onboard.sweep import PEAKS, ROWS
-from sparsefit.whole_file import write_whole
 
 Real = Literal["double", "float"]
 TOLERANCES: dict[Real, float] = {"double": 1e-6, "float": 1e-3}
@@ -58,32 +53,9 @@ def work(candidates: int) -> dict[str, tuple[int, int, int]]:
     }
 
 
-def flash_of(content: dict[str, bytes]) -> str:
-    """Return the flash that the C takes, compiled for size by ``$CC`` or ``cc``, in words."""
-    command = os.environ.get("CC", "cc").split()
-    size = f"{command[0][:-3]}size" if command[0].endswith("-gcc") else "size"
-    with TemporaryDirectory() as folder:
-        for name in ("sf_flow.h", "sf_flow.c"):
-            write_whole(Path(folder) / name, content[name])
-        try:
-            lines = [
-                subprocess.check_output(
-                    words, cwd=folder, text=True, stderr=subprocess.DEVNULL, timeout=120
-                ).splitlines()
-                for words in (
-                    (*command, "-std=c99", "-Os", "-c", "sf_flow.c", "-o", "sf_flow.o"),
-                    (size, "sf_flow.o"),
-                    (*command, "--version"),
-                )
-            ]
-        except (OSError, subprocess.SubprocessError):
-            return "not measured: no compiler was here"
-    return f"{lines[1][1].split()[0]} bytes by {one_line(lines[2][0])}, -Os, without math.h"
-
-
-def costs(real: Real, candidates: int, flash: str) -> list[str]:
-    """Return RAM, flash, work and time in lines for people."""
-    lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`", f"flash  {flash}"]
+def costs(real: Real, candidates: int) -> list[str]:
+    """Return RAM, work and time in lines for people."""
+    lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`"]
     for name, counts in work(candidates).items():
         sums, quotients, functions = counts
         seconds = sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK
@@ -156,30 +128,22 @@ def package(
     searched = [
         f".{name} = {value!r}" for name, value in asdict(settings).items() if name not in _VEHICLE
     ]
-    macro = f"{', '.join(searched[:2])}, \\\n    {', '.join(searched[2:])}"
-    origin = f"Made by sparsefit {__version__} from {one_line(source, 50).replace('*/', '')}."
-    folder = files("sparsefit.onboard") / "templates"
-
-    def filled(flash: str) -> dict[str, bytes]:
-        lines = costs(real, settings.candidates, flash)
-        marks = {
-            "#define SF_REAL double": f"#define SF_REAL {real}",
-            "@origin@": origin,
-            " * @costs@": "\n".join(f" * {line}" for line in lines),
-            "@costs@": "\n".join(f"    {line}" for line in lines),
-            "@tolerance@": f"{TOLERANCES[real]:g}",
-            "/* @settings@ */": "/* The estimator's search, for an initialiser of sf_config. */\n"
-            f"#define SF_SETTINGS {macro}",
-        }
-        content = {}
-        for path in FILES:
-            text = (folder / path.removeprefix("test/")).read_text()
-            for mark, words in marks.items():
-                text = text.replace(mark, words)
-            content[path] = text.encode()
-        return content
-
-    content = filled(flash_of(filled("")))
+    lines, origin = costs(real, settings.candidates), one_line(source, 50).replace("*/", "")
+    marks = {
+        "#define SF_REAL double": f"#define SF_REAL {real}",
+        "@origin@": f"Made by sparsefit {__version__} from {origin}.",
+        " * @costs@": "\n".join(f" * {line}" for line in lines),
+        "@costs@": "\n".join(f"    {line}" for line in lines),
+        "@tolerance@": f"{TOLERANCES[real]:g}",
+        "/* @settings@ */": "/* The estimator's search, for an initialiser of sf_config. */\n"
+        f"#define SF_SETTINGS {', '.join(searched[:2])}, \\\n    {', '.join(searched[2:])}",
+    }
+    content = {}
+    for path in FILES:
+        text = (files("sparsefit.onboard") / "templates" / path.removeprefix("test/")).read_text()
+        for mark, words in marks.items():
+            text = text.replace(mark, words)
+        content[path] = text.encode()
     content["test/flight.csv"] = csv_file.encode(FlightTable.from_flight(flown))
     content["test/reference.csv"] = reference(estimator, flown).encode()
     return content

@@ -79,19 +79,13 @@ cdef class CompiledFlow:
         """Bytes of the state."""
         return sizeof(sf_flow)
 
-    def __getstate__(self):
-        return (<char *>&self.flow)[: sizeof(sf_flow)]
-
-    def __setstate__(self, content):
-        if len(content) != sizeof(sf_flow):
-            raise ValueError("a state of another version")
-        memcpy(&self.flow, <char *>content, sizeof(sf_flow))
-
     def __reduce__(self):
-        return _restored, (self.__getstate__(),)
+        return _restored, ((<char *>&self.flow)[: sizeof(sf_flow)],)
 
 
 def _restored(content):
-    flow = CompiledFlow.__new__(CompiledFlow)
-    flow.__setstate__(content)
-    return flow
+    cdef CompiledFlow board = CompiledFlow.__new__(CompiledFlow)
+    if len(content) != sizeof(sf_flow):
+        raise ValueError("a state of another version")
+    memcpy(&board.flow, <char *>content, sizeof(sf_flow))
+    return board

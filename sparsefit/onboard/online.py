@@ -272,15 +272,9 @@ class Stream:
         """The time in which the weight of a sample falls by e [s]; 0: all count alike."""
         return self.memory or 0.0 if self.window is None else self.window / 2.0
 
-    def refuse_unfit(self, estimator: Estimator) -> None:
-        """Raise InputError where flights are to be followed by an estimator that cannot."""
-        if self.asked and (reason := refusal(estimator)):
-            raise InputError(f"online: {reason}")
-
-    def prepare(self, estimator: Estimator, fleet: Sequence[Flight]) -> Prepared:
-        """Return the rows of a flight, which `Estimator.read` reads as they were flown if asked."""
-        flies = as_flown(estimator, window=self.window, memory=self.memory) if self.asked else None
-        return (flies or estimator).prepare(fleet)
+    def flying(self, estimator: Estimator) -> Estimator:
+        """Return an estimator as it flies, where flights are followed; else the estimator."""
+        return as_flown(estimator, self) if self.asked else estimator
 
 
 @dataclass(frozen=True)
@@ -294,8 +288,8 @@ class FlownEstimator(Estimator):
         fleet = [flights] if isinstance(flights, Flight) else list(flights)
         if len(fleet) != 1:
             raise InputError(f"on board one flight is followed, not {len(fleet)} together")
-        rows, stream = super().prepare(fleet), vars(self.stream)
-        online = OnlineEstimator(self, vehicle=fleet[0].vehicle, **stream)
+        rows = super().prepare(fleet)
+        online = OnlineEstimator(self, vehicle=fleet[0].vehicle, **vars(self.stream))
         for sample in samples_of(fleet[0]):
             online.update(*sample)
         return cast("Prepared", _FlownRows(rows, online.answer))
@@ -325,9 +319,7 @@ class _FlownRows:
         return estimate_of(estimator, self._answer, **more)
 
 
-def as_flown(
-    estimator: Estimator, *, window: float | None = None, memory: float | None = None
-) -> FlownEstimator:
+def as_flown(estimator: Estimator, stream: Stream = Stream()) -> FlownEstimator:
     """Return an estimator as it flies, to be scored like any other.
 
     Raises:
@@ -336,4 +328,4 @@ def as_flown(
     if reason := refusal(estimator):
         raise InputError(reason)
     own = {item.name: getattr(estimator, item.name) for item in fields(Estimator)}
-    return FlownEstimator(**own, stream=Stream(window, memory))
+    return FlownEstimator(**own, stream=stream)

@@ -144,7 +144,7 @@ def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = 
         # What no estimator can combine is refused here, not in the first case.
         read = {name: getattr(setup, name) for name in ("derivative", "library", "readout")}
         with told_with(place.within("online")):
-            setup.online.refuse_unfit(made(Estimator, read, place))
+            setup.online.flying(made(Estimator, read, place))
         parts[combined] = True
     return setup
 

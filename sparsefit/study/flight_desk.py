@@ -254,7 +254,7 @@ class FlightDesk:
         key = (setup.derivative, setup.library, setup.online)
         if self._prepared is None or self._prepared[0] != key:
             self._prepared = None
-            prepared = setup.online.prepare(self._estimator(cell), flown.fleet)
+            prepared = setup.online.flying(self._estimator(cell)).prepare(flown.fleet)
             self._prepared = (key, prepared)
         return flown, self._prepared[1]
 
@@ -307,7 +307,7 @@ def read_again(definition: Definition, unit: int, cell: Cell) -> Reading:
     try:
         flown = fly(definition, unit, cell.setup.flights)
         estimator = estimator_of(definition, cell)
-        prepared = cell.setup.online.prepare(estimator, flown.fleet)
+        prepared = cell.setup.online.flying(estimator).prepare(flown.fleet)
         fit = estimator.fit(prepared)
         return Reading(estimator.read(prepared, fit), fit, prepared.problem, flown)
     except InputError:

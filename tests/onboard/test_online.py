@@ -192,10 +192,9 @@ def test_an_estimator_is_scored_as_it_would_fly():
     with pytest.raises(sf.InputError, match="one flight is followed, not 2"):
         flies.estimate([flight, flight])
     stream = Stream(window=5.0)
-    prepared = stream.prepare(LADDER, [flight])
+    prepared = stream.flying(LADDER).prepare([flight])
     assert LADDER.read(prepared, LADDER.fit(prepared)).status == "ok"
-    assert not Stream().asked
-    assert Stream().prepare(LADDER, [flight]).problem.samples > 0
+    assert Stream().flying(LADDER) is LADDER
 
 
 @compiled
