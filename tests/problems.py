@@ -41,7 +41,7 @@ def flight(length_scale=4.2, mean_velocity=15.0, seed=7, duration=10.0, velocity
 def flight_problem(length_scale=4.2, seed=7, velocity_noise=0.0, grid=SMALL_GRID):
     """The regression problem of such a flight, on a small grid."""
     flown = flight(length_scale, seed=seed, velocity_noise=velocity_noise)
-    return Library(grid).build(sf.Derivative()(flown), VEHICLE)
+    return Library(grid).build([sf.Derivative()(flown)], [VEHICLE])
 
 
 def regular(seed=0, samples=60, groups=4, size=3, targets=2, noise=0.3):

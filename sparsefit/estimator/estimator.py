@@ -144,8 +144,8 @@ class Estimator:
         """Fields of the estimate from the modes on the grid, and what speaks against them."""
         from sparsefit.model import read_grid
 
-        flights = (prepared.parts, prepared.vehicles, self.library)
-        read, flow = read_grid(fit, *flights, self.readout, prepared.weights, prepared.once)
+        settings = (self.library, self.readout, prepared.weights)
+        read, flow = read_grid(fit, prepared.parts, prepared.vehicles, *settings)
         scales = []
         for own in read:
             speed, scale = own.mean_velocity, own.length_scale

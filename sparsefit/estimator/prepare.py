@@ -154,7 +154,7 @@ def prepare(
             parts.append(own)
     vehicles = [flight.vehicle for flight in flights]
     weights = flight_weights(parts, vehicles, library)
-    problem = library.build_flights(parts, vehicles, weights)
+    problem = library.build(parts, vehicles, weights)
     if shared:
         _ = problem.statistics.gram
     seconds = perf_counter() - start

@@ -101,14 +101,6 @@ def wave_theta(position: Array, wavevectors: Array) -> Array:
     return theta.reshape(2 * len(position), -1)
 
 
-def wave_names(wavevectors: Array) -> tuple[str, ...]:
-    """The names of the two columns of each of waves k (w, 2) [rad/m]."""
-    parts = ("cos", "sin")
-    return tuple(
-        f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for x, y in wavevectors for part in parts
-    )
-
-
 def strengths(wavevectors: Array, weights: Array) -> Array:
     """The strength |k| sqrt(a^2 + b^2) (w,) [m/s] of waves k (w, 2) with weights a, b (w, 2)."""
     size: Array = np.linalg.norm(wavevectors, axis=1) * np.linalg.norm(weights, axis=1)
@@ -141,13 +133,14 @@ def wave_peaks(
     return np.array(tops, dtype=np.intp), np.array(peaks).reshape(-1, 2)
 
 
-def rms_mean_velocity(weights: Array) -> float:
-    """U0 = sqrt(2 <|w|^2>) [m/s] over the cell, in closed form, from weights (8, 2) [m/s].
+def rms_mean_velocity(weights: Array) -> Array:
+    """U0 = sqrt(2 <|w|^2>) [m/s] over the cell, in closed form, from weights (..., 8, 2) [m/s].
 
     A single has mean square 1/2 and a product 1/4; the cellular flow of Eq. 1 has
     <|w|^2> = U0^2 / 2.
     """
-    return float(np.sqrt(2 * np.sum(MEAN_SQUARE[:, None] * weights**2)))
+    speed: Array = np.sqrt(2 * np.sum(MEAN_SQUARE[:, None] * weights**2, axis=(-2, -1)))
+    return speed
 
 
 @dataclass(frozen=True, eq=False)

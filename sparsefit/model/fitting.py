@@ -32,15 +32,15 @@ class FlowRows:
 
     Args:
         place: (x, y, t) of the rows from their middle (m, 3) [m], [s].
-        target: Phi of the vehicle as it is believed to be, (m, 2) [m/s].
-        unknowns: N (m, 2, j).
-        weight: of every row (m,), already in target and unknowns; None: all are 1.
+        target: Phi of the vehicle as it is believed to be, (m, 2) [m/s], times the weight.
+        unknowns: N (m, 2, j), times the weight.
+        weight: of every row (m,).
     """
 
     place: Array
     target: Array
     unknowns: Array
-    weight: Array | None = None
+    weight: Array
 
     def cut(self, pieces: int) -> tuple[Array, Array, Array]:
         """The target (s, 2 n), x, y and -t (3, s, n), and weights (s, 1, 1, n) of s pieces.
@@ -51,13 +51,12 @@ class FlowRows:
         if pieces not in self._cuts:
             count = -(-len(self.target) // pieces)
             filled = (0, pieces * count - len(self.target))
-            own = np.ones(len(self.target)) if self.weight is None else self.weight
             target = np.pad(self.target if pieces == 1 else self.rest, (filled, (0, 0)))
             place = np.pad(self.place.T, ((0, 0), filled)).reshape(3, pieces, count)
             self._cuts[pieces] = (
                 target.reshape(pieces, count, 2).swapaxes(1, 2).reshape(pieces, -1),
                 place * np.array([1.0, 1.0, -1.0])[:, None, None],
-                np.pad(own, filled).reshape(pieces, 1, 1, count),
+                np.pad(self.weight, filled).reshape(pieces, 1, 1, count),
             )
         return self._cuts[pieces]
 
@@ -150,9 +149,7 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
     count, size = 2 * len(phases), axes.shape[2]
     g = np.stack(sines_and_cosines(np.tensordot(phases, axes, axes=1)), axis=1)
     np.negative(g[:, 0], out=g[:, 0])
-    g = np.moveaxis(g, 2, 0)  # (s, J, 2, n)
-    if pieces > 1 or rows.weight is not None:
-        g = g * weight
+    g = np.moveaxis(g, 2, 0) * weight  # (s, J, 2, n)
     across, turned = (part[..., [1, 0]] * (1.0, -1.0) for part in (phases, by_q))
     columns = (g[..., None, :] * across[:, None, :, None]).reshape(pieces, count, 2 * size)
     if pieces == 1 and rows.unknowns.size:

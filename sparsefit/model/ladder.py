@@ -199,8 +199,8 @@ class Ladder:
 
         Their waves are k and its clockwise turn (k_y, -k_x); they move at up to fastest [m/s].
         """
-        place, weight, radii = self.rows.place, self.rows.weight, self.search.radii
-        scan = WaveScan.of(place, radii, fastest, weight) if fastest else self.search.scan
+        rows, radii = self.rows, self.search.radii
+        scan = WaveScan.of(rows, radii, fastest) if fastest else self.search.scan
         shape = SQUARE.moving if fastest else SQUARE
         if scan is None:
             return

@@ -9,9 +9,8 @@ components share the weights of a wave: theta has a row for each, x before y, sa
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, integer, one_of, told_of
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_names, wave_theta
+from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_theta
 from sparsefit.model.grid import Bounds, LengthScaleGrid, extent_of, wave_rings
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out
 from sparsefit.regression.problem import RegressionProblem, compressed
@@ -27,7 +26,7 @@ from sparsefit.rows import Samples
 
 Target = Literal["flow-velocity", "acceleration", "state-derivative"]
 FamilyName = Literal["cells", "waves"]
-WaveGroups = Literal["wave", "ring", "nested"]
+WaveGroups = Literal["wave", "nested"]
 
 TARGET_NAMES: dict[str, tuple[str, ...]] = {
     "flow-velocity": ("w_x", "w_y"),
@@ -42,15 +41,13 @@ class GridColumns:
     """The columns of theta before any flight is put into them.
 
     Args:
-        family: of the columns.
-        parameters: of the modes on the grid, (s, p): k [1/m], or wavevectors [rad/m].
+        parameters: of the modes on the grid, (s, p): k [1/m] of cells, or wavevectors [rad/m].
         group: of each column (k,).
         scales: the length scale of each group (g,) [m].
         names: of the columns (k,).
         subgroups: the mode of each column (k,), where modes are groups within their groups.
     """
 
-    family: FamilyName
     parameters: Array
     group: IntArray
     scales: Array
@@ -58,30 +55,25 @@ class GridColumns:
     subgroups: IntArray | None = None
 
     @property
-    def components(self) -> int:
-        """Rows of a sample: 2 where the velocity components share their weights."""
-        return 1 if self.family == "cells" else 2
+    def shared(self) -> bool:
+        """Whether the velocity components share their weights: a sample has two rows then."""
+        return bool(self.parameters.shape[1] == 2)
 
-    def at(self, position: Array) -> Array:
-        """Theta at positions (m, 2) [m]; InputError where it would not fit in memory."""
-        if self.family == "cells":
-            return candidate_columns(position, self.scales)
-        return wave_theta(position, self.parameters)
+    def blocks(self, source: Samples, most: int) -> Iterator[tuple[slice, Array]]:
+        """The rows of theta, those of at most so many samples at once, and which they are.
 
-    def blocks(self, source: Samples, *, whole: bool) -> Iterator[tuple[slice, Array]]:
-        """Rows of theta in blocks, of samples or of averages of them, and which they are.
-
-        whole: whether all samples are one block.
+        Raises InputError where they would not fit in memory.
         """
-        per, size = self.components, len(self.names)
-        if whole and source.operator is None:
-            yield slice(0, per * len(source.time)), self.at(source.position)
-            return
-        for rows, psi, position in source.blocks():
-            values = self.at(position)
+        per = 1 + self.shared
+        for rows, psi, position in source.blocks(most):
+            theta = (
+                wave_theta(position, self.parameters)
+                if self.shared
+                else candidate_columns(position, self.scales)
+            )
             if psi is not None:
-                values = (psi @ values.reshape(len(position), -1)).reshape(-1, size)
-            yield slice(per * rows.start, per * rows.stop), values
+                theta = (psi @ theta.reshape(len(position), -1)).reshape(-1, theta.shape[1])
+            yield slice(per * rows.start, per * rows.stop), theta
 
 
 @dataclass(frozen=True)
@@ -94,9 +86,8 @@ class Library:
     is as the vehicle says, and the air at rest but for the flow.
     ``family``: ``cells`` or ``waves``. Waves have one weight for both velocity components, and
     their one target is the flow velocity.
-    ``groups`` of waves, between the length scales of ``grid``: the ``wave``, the ``ring`` of waves
-    of one |k|, which is the length scale, or ``nested``: waves within rings, for penalties of
-    groups in groups.
+    ``groups`` of waves, between the length scales of ``grid``: each ``wave``, or ``nested``: waves
+    within the ring of waves of one |k|, which is a length scale, for penalties of groups in groups.
     ``every``: rows are every so many-th sample, where a smoothed flight has more than it has to
     say; the search and the measurement still take all. Raises InputError on settings out of range.
     """
@@ -112,15 +103,14 @@ class Library:
         one_of("target", self.target, TARGET_NAMES)
         one_of("family of the library", self.family, get_args(FamilyName))
         one_of("groups of the library", self.groups, get_args(WaveGroups))
-        if self.family != "cells" and self.target != "flow-velocity":
+        if self.family == "waves" and self.target != "flow-velocity":
             raise InputError(
                 "family 'waves' is of a stream function, which gives the flow velocity: "
                 f"target {self.target!r} needs family 'cells'"
             )
-        if self.family != "waves" and self.groups != "wave":
+        if self.family == "cells" and self.groups != "wave":
             raise InputError(
-                f"library: 'groups' is a setting of family 'waves', not of {self.family!r}; "
-                "leave it out"
+                "library: 'groups' is a setting of family 'waves', not of 'cells'; leave it out"
             )
         integer("library: every", self.every, 1)
         object.__setattr__(self, "unknown", checked_unknowns(self.unknown, self.target))
@@ -144,37 +134,33 @@ class Library:
         Raises InputError where they are too many to hold.
         """
         extent = extent_of(position)
-        if self.family == "waves":
-            k, ring, scales = wave_rings(self.grid.lower, self.grid.upper, extent)
-            wave, names = np.repeat(np.arange(len(k)), 2), wave_names(k)
-            if self.groups == "wave":
-                return GridColumns("waves", k, wave, scales[ring], names)
-            nested = wave if self.groups == "nested" else None
-            return GridColumns("waves", k, np.repeat(ring, 2), scales, names, nested)
-        scales = self.grid.resolving(extent).scales
-        words = [f" (L = {scale:g} m)" for scale in scales.tolist()]
-        names = tuple(name + scale for scale in words for name in CANDIDATES)
-        group = np.repeat(np.arange(len(scales)), len(CANDIDATES))
-        return GridColumns("cells", math.pi / scales[:, None], group, scales, names)
+        if self.family == "cells":
+            scales = self.grid.resolving(extent).scales
+            group = np.repeat(np.arange(len(scales)), len(CANDIDATES))
+            names = tuple(
+                f"{name} (L = {scale:g} m)" for scale in scales.tolist() for name in CANDIDATES
+            )
+            return GridColumns(math.pi / scales[:, None], group, scales, names)
+        k, ring, scales = wave_rings(self.grid.lower, self.grid.upper, extent)
+        wave = np.repeat(np.arange(len(k)), 2)
+        names = tuple(
+            f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for x, y in k for part in ("cos", "sin")
+        )
+        if self.groups == "wave":
+            return GridColumns(k, wave, scales[ring], names)
+        return GridColumns(k, np.repeat(ring, 2), scales, names, wave)
 
-    def build(self, samples: Samples, vehicle: PointMassVehicle) -> RegressionProblem:
-        """The regression problem of a flight: theta (m, 8 g), group-major, and the target.
-
-        Of waves theta has two rows a sample, x and y, and one column of the target.
-        """
-        return self.build_flights([samples], [vehicle], [1.0])
-
-    def build_flights(
+    def build(
         self,
         flights: Sequence[Samples],
         vehicles: Sequence[PointMassVehicle],
-        weights: Sequence[float],
+        weights: Sequence[float] = (1.0,),
     ) -> RegressionProblem:
-        """The problem of flights through one flow: the rows of each times its weight.
+        """The regression problem of flights through one flow, the rows of each times its weight.
 
-        Gram matrices add up. What is unknown of a flight is taken from its own rows.
-
-        Where theta would exceed 1 GiB it is compressed block by block
+        Theta is (m, 8 g), group-major, of cells; of waves it has two rows a sample, x and y, and
+        one column of the target. Gram matrices add up. What is unknown of a flight is taken from
+        its own rows. Where theta would exceed 1 GiB it is compressed block by block
         (`problem.compressed`): the same solutions and certificates, memory of k^2.
         """
         position = np.concatenate([samples.position for samples in flights])
@@ -190,52 +176,43 @@ class Library:
                 "it out, or use a larger window"
             )
         columns = self.columns(position)
-        sources = [samples.source for samples in flights]
-        if self.every > 1:
-            sources = [samples.every(self.every) for samples in flights]
-        targets = []
-        for source, vehicle in zip(sources, vehicles, strict=True):
-            response = self.response(source, vehicle)
-            targets.append(response.reshape(-1, response.shape[1] // columns.components))
-        rows, size = sum(map(len, targets)), len(columns.names)
-        large = rows * size * 8 > STREAM_BYTES and rows > size + targets[0].shape[1]
-
-        def rows_of(number: int) -> Iterator[tuple[slice, Array, Array]]:
-            source, target, weight = sources[number], targets[number], weights[number]
-            for rows, theta in columns.blocks(source, whole=not large):
-                own = target[rows]
-                yield (rows, theta, own) if weight == 1.0 else (rows, weight * theta, weight * own)
-
-        def blocks() -> Iterator[tuple[Array, Array]]:
-            again: Callable[[], Iterable[tuple[slice, Array, Array]]]
-            for number, (source, vehicle) in enumerate(zip(sources, vehicles, strict=True)):
-                with told_of("flight", number + 1, len(flights)):
-                    if not self.unknown:
-                        yield from ((theta, target) for _, theta, target in rows_of(number))
-                        continue
-                    unknowns = UnknownColumns(self.unknown, vehicle)
-                    basis = unknowns.basis(source, shared=columns.components == 2)
-                    again = partial(rows_of, number)
-                    if not large:  # built once, as they are few
-                        again = partial(list, list(rows_of(number)))
-                    yield from project_out(basis, again)
-
-        if large:
-            theta, target = compressed(blocks())
-        else:
-            theta, target = (
-                part[0] if len(part) == 1 else np.concatenate(part)
-                for part in zip(*blocks(), strict=True)
-            )
+        sources = [samples.source.every(self.every) for samples in flights]
+        size, per = len(columns.names), 1 + columns.shared
+        count = per * sum(len(source.time) for source in sources)
+        large = 8 * count * size > STREAM_BYTES and count > size + 4
+        parts = []
+        for number, (source, vehicle, weight) in enumerate(
+            zip(sources, vehicles, weights, strict=True), 1
+        ):
+            with told_of("flight", number, len(flights)):
+                target = self.response(source, vehicle).reshape(per * len(source.time), -1)
+                basis = UnknownColumns(self.unknown, vehicle).basis(source, shared=columns.shared)
+                blocks = columns.blocks(source, 4096 if large else len(source.position))
+                if large:
+                    triangle, target = compressed(
+                        (np.hstack([basis[rows], theta]), target[rows]) for rows, theta in blocks
+                    )
+                    basis, theta = np.split(triangle, [basis.shape[1]], axis=1)
+                else:
+                    theta = _stacked([theta for _, theta in blocks])
+                if self.unknown:
+                    theta, target = project_out(basis, theta, target)
+                parts.append((theta, target) if weight == 1 else (weight * theta, weight * target))
+        theta, target = map(_stacked, zip(*parts, strict=True))
         names = TARGET_NAMES[self.target]
         return RegressionProblem(
             theta,
             target,
             columns.group,
             columns.names,
-            names if columns.components == 1 else (" ".join(names),),
+            (" ".join(names),) if columns.shared else names,
             columns.scales,
-            rows if large else None,
+            count if large else None,
             columns.subgroups,
             columns.parameters,
         )
+
+
+def _stacked(parts: Sequence[Array]) -> Array:
+    """Blocks of rows as one array, and a single one as it is."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)

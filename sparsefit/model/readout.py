@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from sparsefit.model.columns import (
     CandidateFlow,
     candidate_columns,
     rms_mean_velocity,
-    strengths,
     wave_peaks,
     wave_theta,
 )
@@ -30,7 +29,6 @@ from sparsefit.model.library import Library
 from sparsefit.model.search import Search
 from sparsefit.model.shapes import WaveCells, read_cells
 from sparsefit.regression.fit import Fit
-from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Samples
 
 LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
@@ -87,28 +85,22 @@ class Readout:
                 "part several; use 'rms', or scales 'one'"
             )
 
-    def scale_weights(self, problem: RegressionProblem, weights: Array) -> Array:
-        """The weight of each group (g,), by the length-scale readout, from weights (k, n)."""
-        groups = int(problem.groups.max()) + 1
-        rows = {
-            "signed-sum": weights.sum(axis=1),
-            "absolute-sum": np.abs(weights).sum(axis=1),
-            "group-norm": np.square(weights).sum(axis=1),
-        }[self.length_scale]
-        sums = np.bincount(problem.groups, weights=rows, minlength=groups).astype(float)
-        return np.sqrt(sums) if self.length_scale == "group-norm" else sums
-
     def by_scale(self, fit: Fit, library: Library) -> dict[float, float]:
         """The weight of each length scale [m]: of waves the norm of their strengths [m/s]."""
+        rows, rule, group_scales = fit.weights, self.length_scale, fit.problem.group_scales
+        assert group_scales is not None
         if library.family == "waves":
-            k, weights = _waves_of(fit)
-            scales = math.sqrt(2.0) * math.pi / np.linalg.norm(k, axis=1)
-            rings, ring = np.unique(np.round(scales, 9), return_inverse=True)
-            squares = np.bincount(ring, strengths(k, weights) ** 2, len(rings))
-            return dict(zip(rings.tolist(), np.sqrt(squares).tolist(), strict=True))
-        assert fit.problem.group_scales is not None
-        own = self.scale_weights(fit.problem, fit.weights).tolist()
-        return dict(zip(fit.problem.group_scales.tolist(), own, strict=True))
+            k, _ = _waves_of(fit)
+            rows, rule = np.repeat(np.linalg.norm(k, axis=1), 2)[:, None] * rows, "group-norm"
+        sums = {
+            "signed-sum": rows.sum(axis=1),
+            "absolute-sum": np.abs(rows).sum(axis=1),
+            "group-norm": np.square(rows).sum(axis=1),
+        }[rule]
+        scales, place = np.unique(group_scales, return_inverse=True)
+        total = np.bincount(place[fit.problem.groups], sums, len(scales))
+        total = np.sqrt(total) if rule == "group-norm" else total
+        return dict(zip(scales.tolist(), total.tolist(), strict=True))
 
     def start(self, search: Search, fit: Fit, library: Library) -> Start:
         """The start of a search that the weights of a fit propose."""
@@ -157,88 +149,70 @@ def read_grid(
     library: Library,
     readout: Readout,
     weights: Sequence[float] = (1.0,),
-    once: Callable[[object, Callable[[], Any]], Any] = lambda key, work: work(),
 ) -> tuple[tuple[WaveCells, ...], CandidateFlow | WaveFlow | None]:
     """The modes that a fit's weights choose on the grid, fastest first, and their flow.
 
-    The modes are fitted together to the rows of the regression. The flow is what the weights say;
-    None where they are not those of a flow velocity.
-
-    Args:
-        fit: of the regression problem of the flights.
-        flights: the samples of each.
-        vehicles: of each.
-        library: of the problem.
-        readout: the way from weights to parameters.
-        weights: of the rows of each flight.
-        once: returns the result of work under a key, computed once for all fits of these flights.
+    The modes are fitted together to the rows of the regression, each flight's times its weight. The
+    flow is what the weights say; None where they are not those of a flow velocity.
 
     Raises:
         InputError: where the flight does not move.
     """
-
-    def refitted(theta: Callable[[Array], Array], *, shared: bool) -> Array:
-        """Weights of columns; shared: rows x before y of each sample, as of a stream function."""
-        parts = []
-        for samples, vehicle, weight in zip(flights, vehicles, weights, strict=True):
-            source = samples.source
-            phi = source.flow_velocity(vehicle)
-            columns = source.averaged(theta(source.position))
-            parts.append((weight * columns, weight * (phi.reshape(-1, 1) if shared else phi)))
-        columns, target = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return _least_squares(columns, target)
-
     position = np.concatenate([samples.position for samples in flights])
-    extent = extent_of(position)
+    sources = [samples.source for samples in flights]
+
+    def refitted(theta: Callable[[Array], Array]) -> Array:
+        """Weights of columns, where there are more rows than samples x before y of each."""
+        parts = []
+        for source, vehicle, weight in zip(sources, vehicles, weights, strict=True):
+            columns = source.averaged(theta(source.position))
+            phi = source.flow_velocity(vehicle).reshape(len(columns), -1)
+            parts.append((weight * columns, weight * phi))
+        return _least_squares(*map(np.concatenate, zip(*parts, strict=True)))
+
     if library.family == "waves":
         k, own = _waves_of(fit)
-        tops, _ = wave_peaks(k, own, extent, MOST_WAVES)
-        top = refitted(lambda place: wave_theta(place, k[tops]), shared=True)
-        cells, used = read_cells(k[tops], top.reshape(-1, 2)), own.any(axis=1)
-        return (cells,), WaveFlow(k[used], *own[used].T)
-    origin = middle(np.concatenate([samples.source.position for samples in flights]))
+        k_top = k[wave_peaks(k, own, extent_of(position), MOST_WAVES)[0]]
+        top = refitted(lambda place: wave_theta(place, k_top))
+        used = own.any(axis=1)
+        return (read_cells(k_top, top.reshape(-1, 2)),), WaveFlow(k[used], *own[used].T)
+    origin = middle(np.concatenate([source.position for source in sources]))
 
     def cells_at(k: Array) -> Array:
         """Weights (s, 8, 2) [m/s] of cells of wavenumbers k (s,), phases from the origin."""
-        scales = np.pi / k
-        own = refitted(lambda place: candidate_columns(place - origin, scales), shared=False)
+        own = refitted(lambda place: candidate_columns(place - origin, np.pi / k))
         return own.reshape(len(k), 8, 2)
 
-    several = readout.scales == "several"
+    several, scales = readout.scales == "several", fit.problem.group_scales
+    assert scales is not None
     if several:
-        if not extent > 0:
+        if not (extent := extent_of(position)) > 0:
             raise InputError("the flight does not move: no length scale can be told; fly farther")
-        places = windows(fit, 2 * math.pi / extent, (0.0, math.inf))
-        k = np.array([place[0] for place in places])
-        speeds = np.array([rms_mean_velocity(mode) for mode in cells_at(k)])
+        k = np.array([place[0] for place in windows(fit, 2 * math.pi / extent, (0.0, math.inf))])
+        speeds = rms_mean_velocity(cells_at(k))
         k = k[speeds >= 0.05 * speeds.max()]  # systematic errors of a derivative reach 2 %
     else:
         by_scale = readout.by_scale(fit, library)
         k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
-
-    def paper_velocity() -> float:
+    if readout.mean_velocity == "paper":
         pairs = list(zip(flights, vehicles, strict=True))
         phi = [samples.flow_velocity(vehicle) for samples, vehicle in pairs]
         target = [library.response(samples, vehicle)[:, -2:] for samples, vehicle in pairs]
         columns = candidate_columns(position, np.pi / k)
         field = columns @ _least_squares(columns, np.concatenate(target))
-        return paper_mean_velocity(field, np.concatenate(phi), readout.eq24)
-
-    if readout.mean_velocity == "paper":
-        speeds = np.array([once((readout.eq24, *k.tolist()), paper_velocity)])
+        speeds = np.array([paper_mean_velocity(field, np.concatenate(phi), readout.eq24)])
     else:
-        own = once((*k.tolist(), *weights), lambda: cells_at(k))
-        speeds = np.array([rms_mean_velocity(mode) for mode in own])
-    scales = tuple(WaveCells(float(speeds[i]), math.pi / float(k[i])) for i in np.argsort(-speeds))
+        own = cells_at(k)
+        speeds = rms_mean_velocity(own)
+    order = np.argsort(-speeds)
+    cells = tuple(WaveCells(float(speeds[i]), math.pi / float(k[i])) for i in order)
     if several:
-        return scales, CandidateFlow(k, own, origin)
+        return cells, CandidateFlow(k, own, origin)
     if library.target != "flow-velocity":
-        return scales, None
-    assert fit.problem.group_scales is not None
-    weighed = fit.weights.reshape(len(fit.problem.group_scales), 8, -1)
+        return cells, None
+    weighed = fit.weights.reshape(len(scales), 8, -1)
     used = weighed.any(axis=(1, 2))
-    flow = CandidateFlow(math.pi / fit.problem.group_scales[used], weighed[used], np.zeros(2))
-    return scales, flow
+    return cells, CandidateFlow(math.pi / scales[used], weighed[used], np.zeros(2))
 
 
 def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array, ComplexArray, IntArray, box
+from sparsefit.arrays import Array, ComplexArray, IntArray
 from sparsefit.cached import cached_property
+from sparsefit.model.fitting import FlowRows
 from sparsefit.model.grid import Bounds, extent_of, middle
 
 FLAT = 1e-2  # of m: eigenvalues of the Gram matrix below it are those of a constant
@@ -103,12 +104,10 @@ def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: flo
 
 def peaks(values: Array, most: int | None = None) -> IntArray:
     """Indices (p, d) of the local maxima above 0 of values of d dimensions, highest first."""
-    around = values
-    for axis in range(values.ndim):
-        ends = [(1, 1) if other == axis else (0, 0) for other in range(values.ndim)]
-        padded = np.moveaxis(np.pad(around, ends, constant_values=-np.inf), axis, 0)
-        highest = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
-        around = np.moveaxis(highest, 0, axis)
+    around = np.pad(values, 1, constant_values=-np.inf)
+    for _ in values.shape:  # each axis in turn comes first
+        around = np.moveaxis(around, -1, 0)
+        around = np.maximum(np.maximum(around[:-2], around[1:-1]), around[2:])
     places = np.argwhere((values >= around) & (values > 0))
     order = np.argsort(-values[tuple(places.T)], kind="stable")
     ordered: IntArray = places[order[:most]]
@@ -123,23 +122,21 @@ def line_steps(extent: float, bounds: Bounds) -> int:
     return max(8, math.ceil((bounds[1] - bounds[0]) * extent / 0.5))
 
 
-def axis_gains(
-    position: Array, rest: Array, bounds: Bounds, weight: Array | None = None
-) -> tuple[Array, Array]:
+def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Array]:
     """The fall of RSS by square cells along the axes: k = pi/L (q,) [1/m] and the gains (q,).
 
     Their two waves k (1, 1) and k (1, -1) flow at right angles, so that their gains add up.
 
     Args:
-        position: of the rows (m, 2) [m].
-        rest: of the rows (m, 2) [m/s], times their weight.
+        rows: of the flights.
+        rest: what is left of them (m, 2) [m/s], times their weight.
         bounds: of k [1/m].
-        weight: of the rows (m,); None: all are 1.
     """
+    position = rows.place[:, :2]
     half = (line_steps(extent_of(position), bounds) + 1) // 2
     step = np.array([0.5 * (bounds[1] - bounds[0]) / half or 1.0])
-    own = np.ones(len(position)) if weight is None else weight
-    count, total = float(own @ own), np.zeros(2 * half + 1)
+    own, total = rows.weight, np.zeros(2 * half + 1)
+    count = float(own @ own)
     moved = own[:, None] * (rest - np.outer(own, own @ rest / count))
     x, y = (position - middle(position)).T
     for along, load in ((x + y, moved[:, 0] - moved[:, 1]), (x - y, moved[:, 0] + moved[:, 1])):
@@ -154,41 +151,34 @@ class WaveScan:
     """The share of rows that one wave explains, over the wavevectors that the track resolves.
 
     Args:
-        place: (x, y, t) of the rows from their middle (m, 3) [m], [s].
+        rows: of the flights.
         radii: the least and the largest |k| [rad/m].
         fastest: the largest velocity of waves [m/s]; 0: they stand.
         pieces: of the track, each with amplitudes of its own.
-        weight: of the rows (m,); None: all are 1.
     """
 
-    place: Array
+    rows: FlowRows
     radii: Bounds
     fastest: float = 0.0
     pieces: int = 1
-    weight: Array | None = None
 
     @classmethod
-    def of(
-        cls, place: Array, radii: Bounds, fastest: float = 0.0, weight: Array | None = None
-    ) -> WaveScan | None:
+    def of(cls, rows: FlowRows, radii: Bounds, fastest: float = 0.0) -> WaveScan | None:
         """The scan in the fewest pieces that take .1 s; None where these have too few rows."""
-        scan = cls(place, radii, fastest, FEWEST_PIECES if fastest else 1, weight)
-        most = 300_000 if fastest else 500_000
-        while math.prod(2 * half + 1 for half in scan.halves) * scan.pieces > most * (
-            1 if scan.pieces == 1 else FEWEST_PIECES
-        ):
-            pieces = max(FEWEST_PIECES, scan.pieces + scan.pieces // 4)
-            if len(place) < 12 * pieces:
+        pieces = FEWEST_PIECES if fastest else 1
+        while True:
+            scan = cls(rows, radii, fastest, pieces)
+            most = (300_000 if fastest else 500_000) * (1 if pieces == 1 else FEWEST_PIECES)
+            if math.prod(2 * half + 1 for half in scan.halves) * pieces <= most:
+                return scan
+            pieces = max(FEWEST_PIECES, pieces + pieces // 4)
+            if len(rows.place) < 12 * pieces:
                 return None
-            scan = cls(place, radii, fastest, pieces, weight)
-        return scan
 
     @cached_property
     def steps(self) -> Array:
         """Between wavenumbers [rad/m] and frequencies [rad/s]: half a lobe of a piece, (3,)."""
-        corners = (box(piece) for piece in np.array_split(self.place, self.pieces))
-        x, y, t = np.max([high - low for low, high in corners], axis=0).tolist()
-        return math.pi / np.array([max(x, y), max(x, y), t])
+        return self.rows.reach(self.pieces)
 
     @property
     def halves(self) -> tuple[int, ...]:
@@ -218,20 +208,17 @@ class WaveScan:
         return max(1.0, 0.5 * float(self.inside.sum()))
 
     @cached_property
-    def _kept(self) -> dict[str, Any]:
+    def _memory(self) -> dict[str, Any]:
         return {}  # of the last rows, as a fit is asked for twice, and the sums of no rows
 
     def gains(self, rest: Array) -> tuple[Array, Array]:
         """The fall of RSS by one wave (n, n) of rows (m, 2) [m/s], and its omega (n, n) [rad/s]."""
-        if self._kept.get("rest") is not rest:
-            self._kept.update(rest=rest, gains=self._gains(rest))
-        gains: tuple[Array, Array] = self._kept["gains"]
-        return gains
-
-    def _gains(self, rest: Array) -> tuple[Array, Array]:
-        own = np.ones(len(self.place)) if self.weight is None else self.weight
-        cuts = (np.array_split(part, self.pieces) for part in (self.place, rest, own))
-        total, dimensions = np.zeros(1), len(self.halves)
+        memory, total, dimensions = self._memory, np.zeros(1), len(self.halves)
+        if memory.get("rest") is rest:
+            gains: tuple[Array, Array] = memory["gains"]
+            return gains
+        parts = (self.rows.place, rest, self.rows.weight)
+        cuts = (np.array_split(part, self.pieces) for part in parts)
         for place, errors, weight in zip(*cuts, strict=True):
             nodes = (place - middle(place))[:, :dimensions] * (1.0, 1.0, -1.0)[:dimensions]
             sums, squares = FourierSums(nodes, self.steps[:dimensions], self.halves), weight**2
@@ -239,21 +226,22 @@ class WaveScan:
             constant = np.outer(weight, weight @ errors / count)
             load = sums.across(weight[:, None] * (errors - constant))
             if self.pieces == 1 and dimensions == 2:
-                if "once" not in self._kept:
-                    self._kept.update(once=sums.of(squares) / count)
-                    self._kept.update(twice=sums.of(squares, 2) / count)
-                total = gain(load, self._kept["once"], self._kept["twice"], count)
+                if "means" not in memory:
+                    memory["means"] = sums.of(squares) / count, sums.of(squares, 2) / count
+                once, twice = memory["means"]
+                total = gain(load, once, twice, count)
             else:
                 total = total + (2.0 / count) * (load.real**2 + load.imag**2)
-        if dimensions == 2:
-            return self.inside * total, np.zeros_like(total)
-        half = self.halves[2]
-        omega = self.steps[2] * np.arange(-half, half + 1.0)
-        radius = np.hypot(self.axis[:, None], self.axis)
-        total = total * (np.abs(omega) <= (self.fastest * radius + self.steps[2])[..., None])
-        best = total.argmax(axis=2)
-        highest = np.take_along_axis(total, best[..., None], axis=2)[..., 0]
-        return self.inside * highest, omega[best]
+        omega, best = np.zeros(1), np.zeros(total.shape[:2], dtype=np.intp)
+        if dimensions == 3:
+            half = self.halves[2]
+            omega = self.steps[2] * np.arange(-half, half + 1.0)
+            radius = np.hypot(self.axis[:, None], self.axis)
+            total = total * (np.abs(omega) <= (self.fastest * radius + self.steps[2])[..., None])
+            best = total.argmax(axis=2)
+            total = np.take_along_axis(total, best[..., None], axis=2)[..., 0]
+        memory |= {"rest": rest, "gains": (self.inside * total, omega[best])}
+        return self.inside * total, omega[best]
 
     def waves(self, gains: Array, most: int) -> Array:
         """The wavevectors (p, 2) [rad/m] of the highest peaks of gains, one of k and -k."""

@@ -95,7 +95,7 @@ class Search:
             np.concatenate(place) - origin,
             own[:, None] * np.concatenate(phi),
             own[:, None, None] * side_by_side(unknowns, thin),
-            own if len(flights) > 1 else None,
+            own,
         )
         return cls(rows, library.bounds, min(worth, 2.0 * len(own)), origin, unknowns, counts)
 
@@ -113,7 +113,7 @@ class Search:
         """The wavenumbers (l,) of the minima of what one mode of cells more leaves of errors."""
         if not self.bounds[0] < self.bounds[1]:
             return np.array([self.bounds[0]])
-        k, gains = axis_gains(self.rows.place[:, :2], rest, self.bounds, self.rows.weight)
+        k, gains = axis_gains(self.rows, rest, self.bounds)
         places = peaks(gains)[:, 0]
         before, here, after = (
             gains[np.clip(places + shift, 0, len(k) - 1)] for shift in (-1, 0, 1)
@@ -131,7 +131,7 @@ class Search:
     @cached_property
     def scan(self) -> WaveScan | None:
         """The scan of standing waves over the plane; None of a track that is too long."""
-        return WaveScan.of(self.rows.place, self.radii, weight=self.rows.weight)
+        return WaveScan.of(self.rows, self.radii)
 
     def strong(self, rest: Array, most: int) -> Array:
         """The standing waves (p, 2) [rad/m] that explain most of errors (m, 2), strongest first."""
@@ -201,7 +201,6 @@ def flight_weights(
         search = Search.of(flights, vehicles, library, weights.tolist())
         rows = search.rows
         best = fitted(rows, AXIS, search.lobes[:1])
-        assert rows.weight is not None
         rest = np.sum((best.rest / rows.weight[:, None]) ** 2, axis=1)
         flight = np.repeat(np.arange(len(flights)), search.counts)
         levels = np.sqrt(np.bincount(flight, rest) / np.bincount(flight))

@@ -16,7 +16,7 @@ exactly, for every back-end.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -69,21 +69,20 @@ class UnknownColumns:
 
     def __post_init__(self) -> None:
         """Check that the rows are linear in the unknowns."""
-        drag, unknown = self.believed.drag, set(self.unknown)
-        if drag and math.isfinite(self.believed.response_time) and self.scaled:
-            raise InputError(
-                "drag that is linear and quadratic at once has to be known: leave response_time "
-                "and drag out of unknown, or believe in one of them (drag 0, response_time inf)"
-            )
-        if drag and "response_time" in unknown:
-            raise InputError("quadratic drag has no response time; its unknown is 'drag'")
-        if drag and unknown & {"thrust_acceleration", "thrust_scale"}:
-            raise InputError(
-                "a thrust cannot be sought under quadratic drag, whose flow velocity is not linear "
-                "in it: give it, or measure it; drag and wind can be sought"
-            )
-        if "drag" in unknown and not drag:
-            raise InputError("unknown 'drag' needs a vehicle with quadratic drag to start from")
+        quadratic = math.isinf(self.believed.response_time)
+        possible = {"drag", "wind"} if quadratic else {"wind"}
+        if not self.believed.drag:
+            possible = set(UNKNOWNS) - {"drag"}
+        for name in self.unknown:
+            if name not in possible:
+                law = "without quadratic drag"
+                if self.believed.drag:
+                    law = f"with {'' if quadratic else 'linear and '}quadratic drag"
+                raise InputError(
+                    f"unknown {name!r} cannot be sought of a vehicle {law}, whose rows are linear "
+                    f"in {' and '.join(sorted(possible))} alone: leave it out, or give another "
+                    "vehicle to start from"
+                )
 
     @property
     def scaled(self) -> bool:
@@ -118,14 +117,14 @@ class UnknownColumns:
         """
         columns = self.columns(source)
         if shared:
-            columns = columns.reshape(-1, columns.shape[2])
+            columns = columns.reshape(2 * len(columns), -1)
         else:
             moving = columns[:, :, : self.scaled + ("thrust_scale" in self.unknown)]
             constant = np.ones((len(columns), int(columns.shape[2] > moving.shape[2])))
             series = moving.swapaxes(1, 2).reshape(len(columns), -1)
             columns = np.hstack([series, constant])
         vectors, roots, _ = np.linalg.svd(columns, full_matrices=False)
-        basis: Array = vectors[:, roots > 1e-10 * roots[0]]
+        basis: Array = vectors[:, roots > 1e-10 * roots.max(initial=0.0)]
         return basis
 
     def read(self, coefficients: Array) -> tuple[PointMassVehicle, Pair, float] | None:
@@ -184,25 +183,16 @@ def read_vehicles(
     return tuple(vehicles), possible[0][1], float(np.mean([own[2] for own in possible]))
 
 
-def project_out(
-    basis: Array, blocks: Callable[[], Iterable[tuple[slice, Array, Array]]]
-) -> Iterator[tuple[Array, Array]]:
-    """Blocks of (I - Q Q') theta and target, Q (m, r), from blocks of theta, target and their rows.
+def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:
+    """(I - Q Q') theta and target, Q (m, r) orthonormal.
 
     Raises InputError where a candidate is a combination of Q.
     """
-    products = [
-        (basis[rows].T @ theta, basis[rows].T @ target, np.sum(theta**2, axis=0))
-        for rows, theta, target in blocks()
-    ]
-    of_theta, of_target, squares = (np.sum(part, axis=0) for part in zip(*products, strict=True))
-    rest = np.zeros_like(squares)
-    for rows, theta, target in blocks():
-        theta = theta - basis[rows] @ of_theta
-        rest += np.sum(theta**2, axis=0)
-        yield theta, target - basis[rows] @ of_target
-    if (np.sqrt(rest) <= 1e-9 * np.sqrt(squares)).any():  # what is left is rounding
+    squares = np.einsum("ij,ij->j", theta, theta)
+    theta = theta - basis @ (basis.T @ theta)
+    if (np.einsum("ij,ij->j", theta, theta) <= 1e-18 * squares).any():  # what is left is rounding
         raise InputError(
             "a candidate is a combination of the velocity and a constant: the flight is too "
             "straight to tell what is unknown; turn, or give the vehicle"
         )
+    return theta, target - basis @ (basis.T @ target)

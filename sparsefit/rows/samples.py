@@ -85,10 +85,13 @@ class Samples:
         flat = values.reshape(len(self.position), -1)
         return np.asarray(self.operator @ flat).reshape(-1, values.shape[1])
 
-    def blocks(self) -> Iterator[tuple[slice, csr_array | None, Array]]:
-        """Rows in blocks: which they are, their rows of Psi, and the positions of the samples."""
+    def blocks(self, size: int) -> Iterator[tuple[slice, csr_array | None, Array]]:
+        """Rows in blocks: which they are, their rows of Psi, and the positions of the samples.
+
+        size: of samples at once; of averages 256, as they stand for many samples.
+        """
         psi, count = self.operator, len(self.velocity)
-        size = 4096 if psi is None else 256  # bounds the memory
+        size = size if psi is None else 256
         for start in range(0, count, size):
             rows = slice(start, min(start + size, count))
             if psi is None:

@@ -59,7 +59,7 @@ def test_every_back_end_leads_to_the_turned_cells(name, settings, refine, shape)
     assert missed(found.flow) < 0.02
 
 
-@pytest.mark.parametrize("groups", ["wave", "ring", "nested"])
+@pytest.mark.parametrize("groups", ["wave", "nested"])
 def test_on_the_grid_the_flow_is_the_sum_of_its_waves(groups):
     estimator = sf.Estimator(
         library=replace(WAVES, groups=groups), readout=sf.Readout(refine="none")

@@ -13,7 +13,7 @@ from sparsefit.model.shapes import AXIS, PAIR, SQUARE, free_waves, read_cells
 RNG = np.random.default_rng(5)
 TIME = np.linspace(-6, 6, 300)
 PLACE = np.column_stack([9 * np.sin(0.9 * TIME) + TIME, 8 * np.cos(0.7 * TIME), TIME])
-NOTHING = np.zeros((300, 2, 0))
+NOTHING, ONES = np.zeros((300, 2, 0)), np.ones(300)
 
 
 def wave_columns(place, phases):
@@ -28,15 +28,20 @@ def wave_columns(place, phases):
     )
 
 
-def rows_of(shape, q, weights=(1.0, 0.3, -0.2, 1.0), noise=0.0, unknowns=NOTHING, weight=None):
+def rows_of(shape, q, weights=(1.0, 0.3, -0.2, 1.0), noise=0.0, unknowns=NOTHING, weight=ONES):
     columns = wave_columns(PLACE, shape.phases(np.array(q))[0])
     flow = np.tensordot(np.array(weights), columns, axes=1)
     flow = flow + noise * RNG.standard_normal(flow.shape)
-    own = 1.0 if weight is None else weight[:, None]
-    return FlowRows(PLACE, own * flow, unknowns * np.reshape(own, (-1, 1, 1)), weight)
+    return FlowRows(PLACE, weight[:, None] * flow, unknowns * weight[:, None, None], weight)
 
 
-@pytest.mark.parametrize("weight", [None, RNG.uniform(0.5, 2.0, 300)], ids=["plain", "weighted"])
+def rows_at(place):
+    return FlowRows(
+        place, np.zeros((len(place), 2)), np.zeros((len(place), 2, 0)), np.ones(len(place))
+    )
+
+
+@pytest.mark.parametrize("weight", [ONES, RNG.uniform(0.5, 2.0, 300)], ids=["plain", "weighted"])
 @pytest.mark.parametrize("unknown", [0, 3])
 def test_a_fit_is_joint_least_squares_and_its_move_that_of_gauss_newton(weight, unknown):
     unknowns = RNG.standard_normal((300, 2, unknown))
@@ -46,8 +51,7 @@ def test_a_fit_is_joint_least_squares_and_its_move_that_of_gauss_newton(weight, 
 
     def design(at):
         columns = wave_columns(PLACE, PAIR.phases(at)[0])
-        own = 1.0 if weight is None else weight[:, None]
-        flat = (columns * own).reshape(4, -1).T
+        flat = (columns * weight[:, None]).reshape(4, -1).T
         return np.hstack([flat, rows.unknowns.reshape(600, -1)])
 
     def rest(at):
@@ -126,7 +130,7 @@ def explained(k, rest):
 
 
 def test_gains_are_those_of_least_squares():
-    scan = WaveScan.of(PLACE, (0.3, 2.0))
+    scan = WaveScan.of(rows_at(PLACE), (0.3, 2.0))
     rest = RNG.standard_normal((300, 2))
     gains, omega = scan.gains(rest)
     assert not omega.any()
@@ -134,7 +138,7 @@ def test_gains_are_those_of_least_squares():
         k = scan.axis[[i, j]]
         inside = 0.3 <= np.hypot(*k) <= 2.0
         assert gains[i, j] == pytest.approx(explained(k, rest) if inside else 0.0, rel=2e-3)
-    k, line = axis_gains(PLACE[:, :2], rest, (0.4, 1.5))
+    k, line = axis_gains(rows_at(PLACE), rest, (0.4, 1.5))
     for place in (3, 30, 44):
         pair = [explained((k[place], sign * k[place]), rest) for sign in (1, -1)]
         assert line[place] == pytest.approx(sum(pair), rel=2e-2)
@@ -142,7 +146,7 @@ def test_gains_are_those_of_least_squares():
 
 def test_squares_are_seen_where_they_are():
     rows = rows_of(SQUARE, (1.1, 0.3))
-    scan = WaveScan.of(PLACE, (0.3, 3.0))
+    scan = WaveScan.of(rows, (0.3, 3.0))
     seen = scan.axis[scan.squares(scan.gains(rows.rest)[0], 1)[0]]
     waves = SQUARE.phases(np.array([1.1, 0.3]))[0][:, :2]
     apart = min(np.abs(s * wave - seen).max() for wave in waves for s in (1, -1))
@@ -153,7 +157,7 @@ def test_a_wave_that_drifts_is_seen_in_pieces():
     shape = free_waves(1, drifting=True)
     drift = 1.7 * np.array([1.2, -0.5]) / 1.69
     rows = rows_of(shape, (1.2, -0.5, *drift), (1.0, 0.5))
-    scan = WaveScan.of(PLACE, (0.3, 2.0), 3.0)
+    scan = WaveScan.of(rows, (0.3, 2.0), 3.0)
     assert scan.pieces >= 4
     gains, omega = scan.gains(rows.rest)
     i, j = np.unravel_index(np.argmax(gains), gains.shape)
@@ -164,9 +168,9 @@ def test_a_wave_that_drifts_is_seen_in_pieces():
 
 def test_long_tracks_are_scanned_in_pieces_or_not_at_all():
     long = PLACE * [60.0, 60.0, 1.0]
-    scan = WaveScan.of(np.repeat(long, 20, axis=0), (0.3, 4.4))
+    scan = WaveScan.of(rows_at(np.repeat(long, 20, axis=0)), (0.3, 4.4))
     assert scan.pieces > 1
-    assert WaveScan.of(1e3 * PLACE, (0.1, 4.4)) is None
+    assert WaveScan.of(rows_at(1e3 * PLACE), (0.1, 4.4)) is None
 
 
 @pytest.mark.parametrize("dimensions", [1, 2])

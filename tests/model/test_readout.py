@@ -12,7 +12,6 @@ from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Readout, Search, read_grid
 from sparsefit.model.columns import CANDIDATES, candidate_columns, rms_mean_velocity
 from sparsefit.model.readout import paper_mean_velocity, windows
-from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative
 from tests.problems import VEHICLE, flight
 
@@ -20,26 +19,21 @@ GRID = LengthScaleGrid(2.0, 7.0, step=0.2)
 PLAIN = Readout()
 
 
-def exact_weights(speed):
-    weights = np.zeros((8, 2))
-    weights[CANDIDATES.index("sin x cos y"), 0] = speed
-    weights[CANDIDATES.index("cos x sin y"), 1] = -speed
-    return weights
-
-
-def problem_of_groups(groups):
-    theta = np.random.default_rng(0).normal(size=(9, len(groups)))
-    return RegressionProblem.from_arrays(theta, np.ones((9, 2)), groups)
+def by_scale(readout, groups, weights):
+    """The weights of groups, whose scales are 1, 2, ... m."""
+    problem = SimpleNamespace(groups=np.array(groups), group_scales=np.arange(1.0, 2 + max(groups)))
+    read = Readout(readout).by_scale(SimpleNamespace(problem=problem, weights=weights), Library())
+    assert list(read) == problem.group_scales.tolist()
+    return list(read.values())
 
 
 def reading(method="auto", readout=PLAIN, backend="group-lasso", vehicle=VEHICLE, **library):
     samples, library = Derivative(method)(flight()), Library(GRID, **library)
-    fit = sf.fit(library.build(samples, vehicle), backends.get(backend))
+    fit = sf.fit(library.build([samples], [vehicle]), backends.get(backend))
     return fit, samples, library, read_grid(fit, [samples], [vehicle], library, readout)
 
 
 WEIGHTS = np.array([[3.0, -4.0], [0.0, 0.0], [5.0, -12.0], [1.0, 1.0]])
-GROUPS = [0, 0, 1, 2]
 
 
 @pytest.mark.parametrize(
@@ -51,18 +45,16 @@ GROUPS = [0, 0, 1, 2]
     ],
 )
 def test_scale_weights_worked_by_hand(readout, expected):
-    found = Readout(length_scale=readout).scale_weights(problem_of_groups(GROUPS), WEIGHTS)
-    assert found == pytest.approx(expected)
+    assert by_scale(readout, [0, 0, 1, 2], WEIGHTS) == pytest.approx(expected)
 
 
 def test_signed_sum_can_cancel_where_the_group_norm_cannot():
     # The cellular flow of Eq. 1 has weights U0 and -U0: Eq. 21 to the letter sums them to zero.
-    problem = RegressionProblem.from_arrays(
-        np.random.default_rng(0).normal(size=(9, 8)), np.ones((9, 2)), np.zeros(8)
-    )
-    weights = exact_weights(15.0)
-    assert Readout("signed-sum").scale_weights(problem, weights) == pytest.approx([0.0])
-    assert Readout("group-norm").scale_weights(problem, weights) == pytest.approx([15 * 2**0.5])
+    weights = np.zeros((8, 2))
+    weights[CANDIDATES.index("sin x cos y"), 0] = 15.0
+    weights[CANDIDATES.index("cos x sin y"), 1] = -15.0
+    assert by_scale("signed-sum", [0] * 8, weights) == pytest.approx([0.0])
+    assert by_scale("group-norm", [0] * 8, weights) == pytest.approx([15 * 2**0.5])
 
 
 def test_the_papers_readout_worked_by_hand_where_the_range_is_not_centred():

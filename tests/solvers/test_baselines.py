@@ -97,7 +97,7 @@ def test_omp_with_one_scale_is_best_scale():
 def test_omp_finds_two_flows():
     flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
-    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
+    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build([Derivative()(flown)], [VEHICLE])
     backend = GroupOMP()
     weights = backend.solve(problem).weights
     np.testing.assert_allclose(problem.group_scales[chosen(problem, weights)], [3.0, 5.0])
@@ -107,7 +107,7 @@ def test_omp_finds_two_flows():
 def test_omp_sees_a_wrong_stop():
     flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
-    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build(Derivative()(flown), VEHICLE)
+    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build([Derivative()(flown)], [VEHICLE])
     early = GroupOMP(scales=1).solve(problem).weights
     assert np.any((GroupOMP().next_weights(problem, early) != 0) != (early != 0))
 
