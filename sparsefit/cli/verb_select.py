@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> Reply:
         write_whole(args.output, text.encode())
         record |= {"output": args.output}
     else:
-        cell, cells = study.cells_of(chosen.candidate)[0], study.experiment.cells()
+        cell, cells = study.cells_of(chosen.candidate)[0], study.experiment.cells
         settings = json.loads(cells["settings"][cell])
         words = "".join(f", {name}={value!r}" for name, value in settings.items())
         usage = f"use it: sf.path(problem, {cells['backend'][cell]!r}{words})"

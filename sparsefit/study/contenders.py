@@ -29,8 +29,15 @@ from sparsefit import Estimator, RegressionProblem, backends
 from sparsefit.codec import Place, integer, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
-from sparsefit.solvers.registry import Recipe, shipped_solvers
-from sparsefit.study.crossing import Setting, Setup, points_of, read_grid, read_setup
+from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
+from sparsefit.study.crossing import (
+    Setting,
+    Setup,
+    of_others,
+    points_of,
+    read_grid,
+    read_setup,
+)
 from sparsefit.study.data_sets import (
     GENERATORS,
     Data,
@@ -65,7 +72,6 @@ from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
 OURS = "sparsefit"
-EXACT = "sparsefit's exact path"
 FIRST_SECONDS = 120.0  # of a first call that may compile, where its code ships
 ACCURACIES = (1e-4, 1e-6, 1e-8)  # certified, at which success and time are counted
 MOST_CASES = 20_000
@@ -120,11 +126,10 @@ class ProblemSource:
 class Contender:
     """A solver of an objective: a back-end with its settings, and who solves it.
 
-    tolerances: where it is asked to stop, loosest first, NaN where it has none to set; form: how
-    the problem is handed to it; missing: why it cannot run here, empty where it can; family: what
-    shares a process with it; certified: whether checks of the data and certificates are in its
-    time; limit: seconds [s] of a solve; first: of a first call; recipe: the solver, None for the
-    back-end's own.
+    tolerances: where it is asked to stop, loosest first, NaN where it has none to set; missing: why
+    it cannot run here, empty where it can; family: what shares a process with it; certified:
+    whether checks of the data and certificates are in its time; limit: seconds [s] of a solve;
+    first: of a first call; recipe: the solver, None for the back-end's own.
     """
 
     objective: str
@@ -132,7 +137,6 @@ class Contender:
     settings: Mapping[str, Setting]
     solver: str
     tolerances: tuple[float, ...]
-    form: str
     missing: str
     family: str
     certified: bool
@@ -314,8 +318,7 @@ def _read_contenders(
             for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]
         ]
     asked = [(keys.name, settings, recipe) for keys, settings, _, recipe in listed]
-    foreign = [not _ships(name, recipe) and not (recipe and recipe.command)
-               for name, _, recipe in asked]  # fmt: skip
+    foreign = [_foreign(name, recipe) for name, _, recipe in asked]
     ours, theirs = (
         [each for each, other in zip(asked, foreign, strict=True) if other is half]
         for half in (False, True)
@@ -332,37 +335,37 @@ def _read_contenders(
             raise here.error(refused)
         stops = tuple(sorted(keys.tolerances or tolerances, reverse=True))
         stops = stops if words.pop("stops") else (math.nan,)
+        exact = words.pop("exact")
         if own := words.pop("solver"):
             solver, recipe = own, None
         if keys.certified:
-            if words["form"] != EXACT:
+            if not exact:
                 why = "is for an exact path of sparsefit: no other certifies its answers"
                 raise here.at("certified").error(why)
             solver += ", certified"
-            words["form"] = f"{EXACT}, the checks of the data and every certificate"
         points = [f"{name}={shown(value)}" for name, value in settings.items()]
-        label, limit = keys.label or " ".join([keys.name, *points]), keys.limit or clock.limit
+        label, limit = keys.label or " ".join([keys.name, *points]), clock.limit
         if any((c.objective, c.solver) == (label, solver) for c in contenders):
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
-        first = max(limit, FIRST_SECONDS) if _ships(keys.name, recipe) else limit
         recipe = recipe and replace(recipe, limit=limit)
         contenders.append(
             Contender(
                 objective=label, backend=keys.name, settings=settings, solver=solver,
                 tolerances=stops, certified=keys.certified, limit=limit,
-                first=first, recipe=recipe, **words,
+                first=limit if other or (recipe and recipe.command) else max(limit, FIRST_SECONDS),
+                recipe=recipe, **words,
             )
         )  # fmt: skip
     return tuple(contenders)
 
 
-def _ships(backend: str, recipe: Recipe | None) -> bool:
-    """Whether the code of a contender is of sparsefit or of the packages that sparsefit knows."""
-    if backend not in backends.BACKENDS and backend not in backends.PUBLIC:
-        return False
-    own = recipe and (recipe.file or recipe.command or recipe.name not in shipped_solvers())
-    return not own
+def _foreign(backend: str, recipe: Recipe | None) -> bool:
+    """Whether the code of a contender is of none of the packages that sparsefit knows."""
+    own = backend not in backends.PUBLIC and of_others(backend)
+    if recipe is None or recipe.command:
+        return own
+    return own or bool(recipe.file) or recipe.name in {*solver_names()} - shipped_solvers()
 
 
 def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, Recipe | None]]]:
@@ -390,15 +393,16 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, 
 def about_contenders(
     asked: Sequence[tuple[str, Mapping[str, Any], Recipe | None]],
 ) -> list[dict[str, Any]]:
-    """Of each (back-end, its settings, recipe): its solver, form, family, whether it stops.
+    """Of each (back-end, its settings, recipe): its solver, family, whether it stops.
 
-    solver: the name of the back-end's own, empty where the recipe's counts; missing: why it cannot
-    run here; refused: why it is none.
+    solver: the name of the back-end's own, empty where the recipe's counts; exact: whether that is
+    an exact path of sparsefit; missing: why it cannot run here; refused: why it is none.
     """
     problem, content = small_problem(), []
     for name, settings, recipe in asked:
         about: dict[str, Any] = {
-            "solver": "", "form": "", "family": OURS, "stops": False, "missing": "", "refused": "",
+            "solver": "", "exact": False, "family": OURS, "stops": False, "missing": "",
+            "refused": "",
         }  # fmt: skip
         content.append(about)
         try:
@@ -407,16 +411,15 @@ def about_contenders(
             if exact and backend.alpha_fraction == "auto":
                 raise InputError('alpha_fraction = "auto" is many fits: give a number')
             if exact and (recipe is None or recipe.name == exact):
-                about |= {"solver": exact, "form": EXACT}
+                about |= {"solver": exact, "exact": True}
             elif recipe is None:
-                form = (type(backend).__doc__ or "").strip().split("\n")[0]
                 family = OURS if name in backends.BACKENDS else name
-                about |= {"solver": name, "form": form, "family": family}
+                about |= {"solver": name, "family": family}
             elif not exact:
                 raise InputError(f'{name} has no penalty, so "{recipe.name}" is none of its own')
             else:
                 own = f"{recipe.name}{dict(recipe.settings) or ''}"
-                about |= {"form": recipe.form, "stops": recipe.stops, "missing": recipe.missing}
+                about |= {"stops": recipe.stops, "missing": recipe.missing}
                 about["family"] = recipe.package or own
                 takes = None if about["missing"] else getattr(recipe.make(), "takes", None)
                 if callable(takes):

@@ -40,6 +40,7 @@ from sparsefit.study.worker import in_child
 Setting: TypeAlias = float | int | str | bool
 Sections: TypeAlias = Mapping[str, Section]
 Levels: TypeAlias = Mapping[str, object]  # values by dotted key
+Protocols: TypeAlias = Mapping[str, Levels]  # what each named alternative overrides
 Grid: TypeAlias = Mapping[str, Sequence[Any]]
 MOST_POINTS = 100_000  # of the grid of settings of one entry
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
@@ -60,14 +61,6 @@ class Setup:
     library: Library
     readout: Readout
     online: Stream = Stream()
-
-
-@dataclass(frozen=True, eq=False)
-class Protocol:
-    """A named alternative: values for dotted keys."""
-
-    name: str
-    overrides: Levels
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +158,7 @@ def points_of(grid: Grid) -> list[dict[str, Any]]:
 
 def cross(
     sections: Sections,
-    protocols: Sequence[Protocol],
+    protocols: Protocols,
     sweep: Grid,
     fitted: Sequence[Fitted],
     place: Place,
@@ -176,30 +169,30 @@ def cross(
         InputError: with the protocol and levels that resolve to something that cannot be.
     """
     parts, index = dict[str, Any](), itertools.count()
-    for protocol, levels in itertools.product(protocols, points_of(sweep)):
-        words = [f'protocol "{protocol.name}"'] if protocol.overrides else []
+    for (protocol, overrides), levels in itertools.product(protocols.items(), points_of(sweep)):
+        words = [f'protocol "{protocol}"'] if overrides else []
         words += [f"{name} = {shown(value)}" for name, value in levels.items()]
         within = Place(place.file, via=f"with {', '.join(words)}: " if words else "")
-        setup = read_setup(override(sections, {**protocol.overrides, **levels}), within, parts)
+        setup = read_setup(override(sections, {**overrides, **levels}), within, parts)
         for own in fitted:
-            identity = canonical_json([protocol.name, levels, own[0].name, own[1]])
+            identity = canonical_json([protocol, levels, own[0].name, own[1]])
             digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
-            yield Cell(next(index), digest, protocol.name, levels, setup, *own)
+            yield Cell(next(index), digest, protocol, levels, setup, *own)
 
 
-def read_protocols(document: Section, sweep: Grid, place: Place) -> tuple[Protocol, ...]:
+def read_protocols(document: Section, sweep: Grid, place: Place) -> dict[str, Levels]:
     """The [[protocols]], or one called "default" without overrides."""
     if "protocols" not in document:
-        return (Protocol("default", {}),)
-    here, protocols = place.within("protocols"), []
+        return {"default": {}}
+    here, protocols = place.within("protocols"), list[tuple[str, Levels]]()
     for entry in entries(document, "protocols", place):
         name = text(required(entry, "name", here), here.at("name"))
         overrides = _dotted({key: entry[key] for key in entry if key != "name"}, here)
-        protocols.append(Protocol(name, overrides))
+        protocols.append((name, overrides))
         for dotted in set(sweep) & set(overrides):
             raise here.at(dotted).error(f'is in [sweep] too: "{name}" cannot also set it')
-    distinct([protocol.name for protocol in protocols], here.at("name"))
-    return tuple(protocols)
+    distinct([name for name, _ in protocols], here.at("name"))
+    return dict(protocols)
 
 
 def read_sweep(section: Section, place: Place) -> dict[str, tuple[object, ...]]:
@@ -237,10 +230,10 @@ def read_backends(document: Section, place: Place) -> list[Fitted]:
         choice = BackendChoice(keys.name, keys.label or keys.name, read_grid(rest, here))
         points = points_of(choice.grid)
         try:
-            if keys.name in backends.BACKENDS:
-                about = about_backend(keys.name, points)
-            else:  # code of others
+            if of_others(keys.name):
                 about = in_child(about_backend, keys.name, points, seconds=120.0)
+            else:
+                about = about_backend(keys.name, points)
         except (SparsefitError, TypeError, ValueError) as error:
             raise here.error(str(error)) from None
         for settings, words in zip(points, about, strict=True):
@@ -267,6 +260,11 @@ def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]
     if (size := math.prod(map(len, grid.values()))) > MOST_POINTS:
         raise place.error(f"has a grid of {size} settings: {MOST_POINTS} are the most")
     return grid
+
+
+def of_others(name: str) -> bool:
+    """Whether a back-end of that name is code of another package; an unknown one is of nobody."""
+    return name not in backends.BACKENDS and name in (*backends.known(), *backends.PUBLIC)
 
 
 def about_backend(name: str, points: Sequence[dict[str, Any]]) -> list[tuple[str, str, bool]]:

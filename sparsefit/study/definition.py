@@ -21,7 +21,7 @@ from sparsefit.study.contenders import ProblemDesign, read_problem_design
 from sparsefit.study.crossing import (
     SECTION_KEYS,
     Cell,
-    Protocol,
+    Protocols,
     cross,
     read_backends,
     read_protocols,
@@ -64,13 +64,13 @@ class FlightDesign:
     """Flights and the cells that are made of every one of them.
 
     given: the keys of the sections flights, derivative, library and readout that the file sets,
-    dotted, with their values as canonical JSON; sweep: levels by dotted key; validate_count: the
+    dotted; sweep: levels by dotted key; validate_count: the
     flights of the split `validate`, None without [split].
     """
 
     count: int
-    given: Mapping[str, str]
-    protocols: tuple[Protocol, ...]
+    given: Mapping[str, object]
+    protocols: Protocols
     sweep: Mapping[str, tuple[object, ...]]
     cells: tuple[Cell, ...]
     validate_count: int | None = None
@@ -199,8 +199,7 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
         if total != count:
             words = f"counts sum to {total}, not to the {count} of flights.count"
             raise place.within("split").error(words)
-    given = {f"{name}.{key}": canonical_json(value)
-             for name, section in sections.items() for key, value in section.items()}  # fmt: skip
+    given = {f"{name}.{key}": value for name in sections for key, value in sections[name].items()}
     cells = tuple(cross(sections, protocols, sweep, fitted, place))
     return FlightDesign(count, given, protocols, sweep, cells, validate), content
 

@@ -21,7 +21,7 @@ from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import is_real
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
-from sparsefit.study.crossing import Cell, Protocol
+from sparsefit.study.crossing import Cell, Protocols
 from sparsefit.study.definition import FlightDesign
 from sparsefit.study.flight_desk import ALPHA, FlightDesk, path_fractions, truth_of
 from sparsefit.study.manifest import code_version
@@ -45,6 +45,7 @@ class FlightExperiment(Experiment):
         """The flights and cells of the study file."""
         return self.definition.flights
 
+    @cached_property
     def units(self) -> dict[str, list[Any]]:
         """The flights, which are known by their numbers."""
         count = self.design.count
@@ -55,12 +56,9 @@ class FlightExperiment(Experiment):
             "identity": [""] * count,
         }
 
+    @cached_property
     def cells(self) -> dict[str, list[Any]]:
         """Condition, candidate, title and factors of every cell."""
-        return self._cells
-
-    @cached_property
-    def _cells(self) -> dict[str, list[Any]]:
         cells, protocols = self.design.cells, self.design.protocols
         worlds, readings = (_halves(protocols, flights=half) for half in (True, False))
         words = _setting_words(cells)
@@ -91,9 +89,11 @@ class FlightExperiment(Experiment):
 
     def _levels(self, key: str) -> list[Any]:
         """The level of a factor in every cell: numbers where all are, else text."""
-        given = json.loads(self.design.given.get(key, "null"))
-        overrides = {p.name: p.overrides.get(key, given) for p in self.design.protocols}
-        levels = [cell.levels.get(key, overrides[cell.protocol]) for cell in self.design.cells]
+        given, protocols = self.design.given.get(key), self.design.protocols
+        levels = [
+            cell.levels.get(key, protocols[cell.protocol].get(key, given))
+            for cell in self.design.cells
+        ]
         if all(map(is_real, levels)):
             return [float(level) for level in levels if is_real(level)]
         texts = (level if isinstance(level, str) else canonical_json(level) for level in levels)
@@ -113,7 +113,7 @@ class FlightExperiment(Experiment):
 
     def factors(self) -> dict[str, str]:
         """The swept keys, and those that protocols set."""
-        content = [key for protocol in self.design.protocols for key in protocol.overrides]
+        content = [key for overrides in self.design.protocols.values() for key in overrides]
         every = dict.fromkeys([*self.design.sweep, *content])
         return {key: "condition" if _of_flight(key) else "candidate" for key in every}
 
@@ -241,29 +241,29 @@ def level_words(key: str, level: object) -> str:
     return f"{key.partition('.')[2]} {words}"
 
 
-def _halves(protocols: Sequence[Protocol], *, flights: bool) -> dict[str, str]:
+def _halves(protocols: Protocols, *, flights: bool) -> dict[str, str]:
     """Words for what each protocol changes of the flights, or of the estimator.
 
     Protocols that agree in this half share them: the name of the only one, the parts between commas
     that the names of all of them have in common, or else the keys and values.
     """
-    halves: dict[str, list[Protocol]] = {}
-    for protocol in protocols:
-        own = {k: v for k, v in protocol.overrides.items() if _of_flight(k) == flights}
-        halves.setdefault(canonical_json(own), []).append(protocol)
+    halves: dict[str, list[str]] = {}
+    for name, overrides in protocols.items():
+        own = {k: v for k, v in overrides.items() if _of_flight(k) == flights}
+        halves.setdefault(canonical_json(own), []).append(name)
     if len(halves) == 1:
-        alone = len(protocols) == 1 and protocols[0].overrides and not flights
-        return {protocol.name: protocol.name if alone else "" for protocol in protocols}
+        alone = len(protocols) == 1 and any(protocols.values()) and not flights
+        return {name: name if alone else "" for name in protocols}
     words = {}
     for half, alike in halves.items():
-        first, *others = [protocol.name.split(", ") for protocol in alike]
+        first, *others = [name.split(", ") for name in alike]
         words[half] = ", ".join(p for p in first if all(p in other for other in others))
     counts = Counter(words.values())
     for half, word in words.items():
         if not word or counts[word] > 1:
             content = (level_words(key, value) for key, value in json.loads(half).items())
             words[half] = ", ".join(content) or "as the study says"
-    return {p.name: words[half] for half, alike in halves.items() for p in alike}
+    return {name: words[half] for half, alike in halves.items() for name in alike}
 
 
 def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:

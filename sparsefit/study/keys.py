@@ -271,10 +271,6 @@ class ContenderKeys:
         "Of an exact path of sparsefit: charge it for the checks of the data and the certificate "
         "of every point.", False
     )  # fmt: skip
-    limit: float | None = key(
-        "In place of the clock's, for solvers that have no chance on the larger problems.",
-        None, POSITIVE, "s",
-    )  # fmt: skip
 
 
 @dataclass(frozen=True)

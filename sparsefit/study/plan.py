@@ -54,10 +54,12 @@ class Experiment:
     called: ClassVar[Sequence[str]] = ("backend", "label", "protocol")
     alone: ClassVar[bool] = False
 
+    @property
     def units(self) -> Columns:
         """The columns of the units (u,): `flight`, `unit`, `identity` and others."""
         raise NotImplementedError
 
+    @property
     def cells(self) -> Columns:
         """The columns of the cells (c,): `condition`, `candidate`, `title`, `identity`, factors."""
         raise NotImplementedError
@@ -110,7 +112,7 @@ class Plan:
     @cached_property
     def shape(self) -> tuple[int, int]:
         """The numbers of units and cells (u, c)."""
-        units, cells = self.experiment.units(), self.experiment.cells()
+        units, cells = self.experiment.units, self.experiment.cells
         return len(units["identity"]), len(cells["identity"])
 
     @property
@@ -128,14 +130,14 @@ class Plan:
     @cached_property
     def identities(self) -> list[str]:
         """The identity of every case: what it is, whatever study asks for it."""
-        cells = [str(name) for name in self.experiment.cells()["identity"]]
-        rows = [str(name) for name in self.experiment.units()["identity"]]
+        cells = [str(name) for name in self.experiment.cells["identity"]]
+        rows = [str(name) for name in self.experiment.units["identity"]]
         return [f"{row}.{cell}" if row else cell for row in rows for cell in cells]
 
     @cached_property
     def keys(self) -> list[str]:
         """The key under which the store keeps each case."""
-        numbers = np.repeat(self.experiment.units()["flight"], self.shape[1]).tolist()
+        numbers = np.repeat(self.experiment.units["flight"], self.shape[1]).tolist()
         return self.keys_of({"identity": self.identities, "flight": numbers}, by_case=False)
 
     def keys_of(self, columns: Mapping[str, Sequence[Any]], *, by_case: bool) -> list[str]:
@@ -146,7 +148,7 @@ class Plan:
         if by_case:
             places, keys = self.place_of_case, self.keys
             return [keys[places[n]] if n in places else f"?{n}" for n in columns["case_id"]]
-        if any(self.experiment.units()["identity"]):
+        if any(self.experiment.units["identity"]):
             return list(map(str, columns["identity"]))
         pairs = zip(columns["flight"], columns["identity"], strict=True)
         return [f"{number}:{identity}" for number, identity in pairs]
@@ -173,7 +175,7 @@ class Plan:
     def columns(self) -> dict[str, list[Any]]:
         """Every planned column, a value a case."""
         units, cells = self.shape
-        unit_columns, cell_columns = self.experiment.units(), self.experiment.cells()
+        unit_columns, cell_columns = self.experiment.units, self.experiment.cells
         content: dict[str, list[Any]] = {"case_id": self.case_ids}
         for name, values in unit_columns.items():
             if name not in ("unit", "identity"):
@@ -194,7 +196,7 @@ class Plan:
 
     def counts(self) -> dict[str, Any]:
         """The size of the study, JSON-ready: units, conditions, candidates, levels and cases."""
-        cells, definition = self.experiment.cells(), self.experiment.definition
+        cells, definition = self.experiment.cells, self.experiment.definition
         return {
             "units": self.shape[0],
             "conditions": [name for name in dict.fromkeys(cells["condition"]) if name],
@@ -220,8 +222,8 @@ class Plan:
             InputError: where a name is that of nothing in the study.
         """
         wanted: BoolArray = np.zeros(self.shape, dtype=bool)
-        units = [str(unit) for unit in self.experiment.units()["unit"]]
-        columns = self.experiment.cells()
+        units = [str(unit) for unit in self.experiment.units["unit"]]
+        columns = self.experiment.cells
         called = list(zip(*(columns[name] for name in self.experiment.called), strict=True))
         for name in names:
             cells = np.array([any(fnmatchcase(own, name) for own in each) for each in called])

@@ -51,6 +51,7 @@ class ProblemExperiment(Experiment):
         assert isinstance(design, ProblemDesign)
         return design
 
+    @cached_property
     def units(self) -> dict[str, list[Any]]:
         """The problems."""
         sources = self.design.problems
@@ -63,17 +64,15 @@ class ProblemExperiment(Experiment):
             "identity": numbered(digest(source.identity) for source in sources),
         }
 
+    @cached_property
     def cells(self) -> dict[str, list[Any]]:
         """Every contender at each of its tolerances."""
-        return self._cells
-
-    @cached_property
-    def _cells(self) -> dict[str, list[Any]]:
         pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
+        identities = self.design.cell_identities()
         several = len({contender.objective for contender, _ in pairs}) > 1
         return {
             "condition": [""] * len(pairs),
-            "candidate": [digest(n)[:12] for n in self.design.cell_identities()],
+            "candidate": [digest(name)[:12] for name in identities],
             "title": [_title(contender, stop, several) for contender, stop in pairs],
             "objective": [contender.objective for contender, _ in pairs],
             "label": [contender.objective for contender, _ in pairs],
@@ -81,16 +80,13 @@ class ProblemExperiment(Experiment):
             "settings": [contender.content for contender, _ in pairs],
             "solver": [contender.solver for contender, _ in pairs],
             "tolerance": [stop for _, stop in pairs],
-            "identity": self.design.cell_identities(),
+            "identity": identities,
         }
 
     def case_id(self, unit: int, cell: int) -> str:
         """The number of the problem and a digest of the case: `003-9f1c0d6a41b2e857`."""
-        return f"{unit:03d}-{digest(self._unit_names[unit] + self._cells['identity'][cell])}"
-
-    @cached_property
-    def _unit_names(self) -> list[str]:
-        return [str(name) for name in self.units()["identity"]]
+        content = self.units["identity"][unit] + self.cells["identity"][cell]
+        return f"{unit:03d}-{digest(content)}"
 
     def version(self, cell: int) -> str:
         """The code, a plug-in's, and on what it runs."""
@@ -115,7 +111,7 @@ class ProblemExperiment(Experiment):
     @cached_property
     def _objectives(self) -> dict[str, list[int]]:
         cells: dict[str, list[int]] = {}
-        for cell, objective in enumerate(self._cells["objective"]):
+        for cell, objective in enumerate(self.cells["objective"]):
             cells.setdefault(objective, []).append(cell)
         return cells
 

@@ -200,7 +200,7 @@ class Study:
 
     def cells_of(self, candidate: str) -> list[int]:
         """The cells of a candidate: one for every condition."""
-        candidates = self.experiment.cells()["candidate"]
+        candidates = self.experiment.cells["candidate"]
         cells = [cell for cell, name in enumerate(candidates) if name == candidate]
         if not cells:
             raise InputError(f"{self.name} plans no candidate {shown(candidate)}: see study.plan()")
@@ -220,7 +220,7 @@ class Study:
         """
         from sparsefit.onboard import refusal
 
-        cells = self.experiment.cells()
+        cells = self.experiment.cells
         titles = dict(zip(cells["candidate"], cells["title"], strict=True))
         reasons = {title: refusal(self.estimator(name)) for name, title in titles.items()}
         refused = {title: reason for title, reason in reasons.items() if reason}
@@ -233,7 +233,7 @@ class Study:
 
         Its cases lie in the folder ``on-board`` within the study's own.
         """
-        cells = self.experiment.cells()
+        cells = self.experiment.cells
         pairs = zip(cells["candidate"], cells["title"], strict=True)
         able = dict.fromkeys(name for name, title in pairs if title not in self.refusals)
         return self._part(list(able), "on-board", on_board=True)

@@ -88,7 +88,7 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
 
 def test_defaults(tmp_path: Path) -> None:
     study = load(tmp_path, GOOD.split("[[protocols]]")[0])
-    assert [protocol.name for protocol in study.flights.protocols] == ["default"]
+    assert study.flights.protocols == {"default": {}}
     assert {study.flights.split(i) for i in range(6)} == {"all"}
     assert (study.run.case_timeout, study.run.tolerance) == (60.0, 1e-8)
 
@@ -225,7 +225,7 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
 def test_dotted_keys_may_be_bare(tmp_path: Path) -> None:
     bare = GOOD.replace('"derivative.method"', "derivative.method")
     one, other = load(tmp_path, GOOD), load(tmp_path, bare)
-    assert one.flights.protocols[1].overrides == other.flights.protocols[1].overrides
+    assert one.flights.protocols == other.flights.protocols
 
 
 def test_settings_that_only_fit_together(tmp_path: Path) -> None:
