@@ -18,11 +18,12 @@ from sparsefit.cli import (
     verb_simulate,
     verb_study,
 )
-from sparsefit.cli.options import Option, Parser, Reply, declare, print_help, verb
+from sparsefit.cli.options import Option, Parser, Reply, print_help, verb
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 from sparsefit.whole_file import REMEDIES
 
 BAD_INPUT = 2
+SHELLS, EVAL = ("bash", "zsh", "tcsh"), '  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'
 EXAMPLE = """\
 example:
   sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 -o flight.csv
@@ -44,18 +45,14 @@ def parser() -> Parser:
         epilog=EXAMPLE,
     )
     top.add_argument("--version", action="version", version=f"sparsefit {__version__}")
-    top.set_defaults(run=print_help, parser=top, stopped="stopped")
+    top.set_defaults(run=print_help, parser=top, stopped="stopped", json=False)
     verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb")
     for module in (
         verb_simulate, verb_estimate, verb_study, verb_select, verb_export, verb_backends
     ):  # fmt: skip
         module.add(verbs)
-    shells = {"choices": ("bash", "zsh", "tcsh")}
-    declare(
-        verb(verbs, "completion", completion,
-             '  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'),
-        [Option("shell", "bash, zsh or tcsh", "SHELL", extra=shells)],
-    )  # fmt: skip
+    shells = Option("shell", "bash, zsh or tcsh", "SHELL", extra={"choices": SHELLS})
+    verb(verbs, "completion", completion, EVAL, [shells])
     return top
 
 
@@ -68,7 +65,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if extra:
             args.parser.unrecognized(extra)
         answer: Reply = args.run(args)
-        if getattr(args, "json", False):
+        if args.json:
             print(json.dumps(answer.record, indent=2, allow_nan=False, ensure_ascii=False))
         else:
             print("\n".join(answer.lines))
@@ -92,7 +89,8 @@ def completion(args: argparse.Namespace) -> Reply:
         import shtab
     except ImportError:
         raise MissingExtra("completion needs shtab: pip install 'sparsefit[completion]'") from None
-    return Reply({}, [shtab.complete(parser(), args.shell)])
+    script = shtab.complete(parser(), args.shell)
+    return Reply({"shell": args.shell, "script": script}, [script])
 
 
 def _refused(error: BaseException) -> int:

@@ -5,19 +5,18 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import SETTING, Option, collected, key_value, number
+from sparsefit.cli.options import SETTING, Option, collected, key_value
 from sparsefit.errors import InputError, told_with
 
 if TYPE_CHECKING:
     from sparsefit.estimator.estimator import Estimator
 
 LONGEST = 16_000_000  # bytes of an estimator file
-METRES = number("m")
 OPTIONS = {  # the dotted key of an estimator: the option that sets it
     "library.lower": Option(
-        "--grid-lower", "least length scale sought; default: 1 m", "M", METRES),
-    "library.upper": Option("--grid-upper", "largest one; default: 12 m", "M", METRES),
-    "library.step": Option("--grid-step", "between candidates; default: 0.2 m", "M", METRES),
+        "--grid-lower", "least length scale sought; default: 1 m", "m", float),
+    "library.upper": Option("--grid-upper", "largest one; default: 12 m", "m", float),
+    "library.step": Option("--grid-step", "between candidates; default: 0.2 m", "m", float),
     "library.unknown": Option(
         "--unknown", "estimated with the flow: response_time, drag, thrust_scale, "
         "thrust_acceleration, wind", "NAME", extra={"nargs": "+"}),

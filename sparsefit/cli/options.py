@@ -14,6 +14,7 @@ from sparsefit.errors import InputError, one_line, suggestion
 
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 Value: TypeAlias = bool | int | float | str
+PLAIN = ("NUMBER", "SHARE", "N", "X Y")  # placeholders of numbers that are no unit
 
 
 class Reply(NamedTuple):
@@ -73,9 +74,9 @@ class Option:
     """An option of a verb, or a value without a flag.
 
     flags: names as typed, `--length-scale` or `-o --output`, separated by blanks; help: the
-    sentence of `--help`; metavar: the placeholder of the value, several for several values; read:
-    the argparse type of a value, None for a flag, which is True where it is given; extra: further
-    arguments of `add_argument`.
+    sentence of `--help`; metavar: the placeholder of the value, several for several values, of a
+    number its unit or NUMBER; read: the type of a value, None for a flag, which is True where it is
+    given; extra: further arguments of `add_argument`.
     """
 
     flags: str
@@ -89,6 +90,31 @@ class Option:
         """The name of the value among the arguments."""
         return self.flags.split()[-1].removeprefix("--").replace("-", "_")
 
+    def declare(self, parser: argparse._ActionsContainer) -> None:
+        """Declare the option in a parser or a group of one."""
+        settings: dict[str, Any] = {"help": self.help, **(self.extra or {})}
+        if self.read is None:
+            settings.setdefault("action", "store_true")
+        else:
+            names = tuple(self.metavar.upper().split())
+            settings["type"] = self._number if self.read in (float, int) else self.read
+            if names:
+                settings["metavar"] = names if len(names) > 1 else names[0]
+            if len(names) > 1:
+                settings["nargs"] = len(names)
+        parser.add_argument(*self.flags.split(), **settings)
+
+    def _number(self, text: str) -> float:
+        """A plain number; `4 m` is refused with the unit to drop."""
+        try:
+            number: float = self.read(text if "_" not in text else "")  # type: ignore[misc]
+        except ValueError:
+            kind = "whole number" if self.read is int else "number"
+            unit = "" if self.metavar in PLAIN else self.metavar
+            remedy = f"; give it in {unit}, without the unit" if unit else ""
+            raise argparse.ArgumentTypeError(f'"{text}" is not a {kind}{remedy}') from None
+        return number
+
 
 def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:
     """The option of a key of a study file, with the words of the key."""
@@ -97,24 +123,20 @@ def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | N
     return Option(f"--{key.replace('_', '-')}", sentence, metavar, read, extra)
 
 
-def declare(parser: argparse._ActionsContainer, options: Iterable[Option]) -> None:
-    """Declare options in a parser or a group of one."""
-    for option in options:
-        settings: dict[str, Any] = {"help": option.help, **(option.extra or {})}
-        if option.read is None:
-            settings.setdefault("action", "store_true")
-        else:
-            names = tuple(option.metavar.split())
-            settings["type"] = option.read
-            if names:
-                settings["metavar"] = names if len(names) > 1 else names[0]
-            if len(names) > 1:
-                settings["nargs"] = len(names)
-        parser.add_argument(*option.flags.split(), **settings)
+def verb(
+    verbs: Verbs,
+    name: str,
+    run: Run,
+    example: str,
+    options: Iterable[Option] = (),
+    groups: Mapping[str, Iterable[Option]] | None = None,
+    summary: str = "",
+) -> Parser:
+    """Return the parser of a verb; its help is the docstring of what runs it.
 
-
-def verb(verbs: Verbs, name: str, run: Run, example: str, summary: str = "") -> Parser:
-    """The parser of a verb; its help is the docstring of what runs it, the example stands below."""
+    example: stands below the help; options: beside `--json`, which every verb has; groups: others
+    by the title that they stand under.
+    """
     sentence = summary or (run.__doc__ or "").split("\n")[0].rstrip(".")
     parser = verbs.add_parser(
         name,
@@ -123,33 +145,21 @@ def verb(verbs: Verbs, name: str, run: Run, example: str, summary: str = "") -> 
         epilog=f"example:\n{example}",
     )
     parser.set_defaults(run=run, parser=parser, stopped="stopped")
+    # An action below does not undo a --json that stands before it.
+    json = Option("--json", "print JSON", read=None, extra={"default": argparse.SUPPRESS})
+    for option in (*options, json):
+        option.declare(parser)
+    for title, members in (groups or {}).items():
+        group = parser.add_argument_group(title)
+        for option in members:
+            option.declare(group)
     return parser
 
 
 def print_help(args: argparse.Namespace) -> Reply:
     """Print the help of a verb that was given without an action."""
-    return Reply({}, [args.parser.format_help().rstrip("\n")])
-
-
-def number(unit: str = "") -> Callable[[str], float]:
-    """An argparse type: a plain number; `4 m` is refused with the unit to drop."""
-
-    def read(text: str) -> float:
-        try:
-            return float(text if "_" not in text else "")
-        except ValueError:
-            remedy = f"give it in {unit}, without the unit" if unit else "give a number"
-            raise argparse.ArgumentTypeError(f'"{text}" is not a number; {remedy}') from None
-
-    return read
-
-
-def whole(text: str) -> int:
-    """An argparse type: a whole number."""
-    try:
-        return int(text if "_" not in text else "")
-    except ValueError:
-        raise argparse.ArgumentTypeError(f'"{text}" is not a whole number') from None
+    text = args.parser.format_help().rstrip("\n")
+    return Reply({"help": text}, [text])
 
 
 def key_value(text: str) -> tuple[str, Value]:
@@ -190,5 +200,4 @@ RESULTS = Option(
     "--results", "folder of the results of all studies; default: results beside the study file",
     "FOLDER",
 )  # fmt: skip
-JSON = Option("--json", "print JSON", read=None)
 FORCE = Option("--force", "overwrite what is written there", read=None)

@@ -5,17 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from sparsefit.cli.options import (
-    JSON,
-    SETTING,
-    Option,
-    Reply,
-    Verbs,
-    collected,
-    declare,
-    number,
-    verb,
-)
+from sparsefit.cli.options import SETTING, Option, Reply, Verbs, collected, verb
 from sparsefit.cli.terminal import duration, proof, typed
 from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
 
@@ -23,29 +13,20 @@ EXAMPLE = """\
   sparsefit backends
   sparsefit backends check group-lasso --setting solver=clarabel
 """
+CHECK = "  sparsefit backends check lasso --setting alpha_fraction=0.05\n"
 SECONDS = 20.0  # for a plug-in to be imported
-CHECK_SECONDS = 60.0
-
-
 NAME = Option("name", "a back-end, see sparsefit backends list", "NAME")
-TIMEOUT = Option("--timeout", f"how long a plug-in may take; default: {CHECK_SECONDS:g}", "SECONDS",
-                 number("s"), {"default": CHECK_SECONDS})  # fmt: skip
+TIMEOUT = Option("--timeout", "how long a plug-in may take; default: 60", "s", float,
+                 {"default": 60.0})  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb; without an action it lists."""
     summary = "list the back-ends with their settings, or check that one works"
-    parser = verb(verbs, "backends", run_list, EXAMPLE, summary)
-    declare(parser, (JSON,))
+    parser = verb(verbs, "backends", run_list, EXAMPLE, summary=summary)
     actions = parser.add_subparsers(metavar="ACTION", title="actions")
-    # Not to undo a --json that stands before the action.
-    below = Option("--json", "print JSON", read=None, extra={"default": argparse.SUPPRESS})
-    for name, run, options, example in (
-        ("list", run_list, (), "--json"),
-        ("check", run_check, (NAME, SETTING, TIMEOUT), "lasso --setting alpha_fraction=0.05"),
-    ):
-        action = verb(actions, name, run, f"  sparsefit backends {name} {example}\n")
-        declare(action, (*options, below))
+    verb(actions, "list", run_list, "  sparsefit backends list --json\n")
+    verb(actions, "check", run_check, CHECK, (NAME, SETTING, TIMEOUT))
 
 
 def run_list(args: argparse.Namespace) -> Reply:

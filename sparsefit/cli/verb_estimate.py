@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimator_file import ALL, estimator_of
-from sparsefit.cli.options import FORCE, JSON, Option, Reply, Verbs, declare, number, verb
+from sparsefit.cli.options import FORCE, Option, Reply, Verbs, verb
 from sparsefit.cli.terminal import check_output
 from sparsefit.errors import InputError, one_line, told_with
 from sparsefit.whole_file import write_whole
@@ -48,30 +48,27 @@ LOG = (
     Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
            "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
            "MAP"),
-    Option("--from", "first second that is read", "S", number("s"), {"dest": "begin"}),
-    Option("--to", "last second that is read", "S", number("s"), {"dest": "end"}),
-    Option("--longest-gap", "a log with a longer one is refused; default: 60 s, or 20 steps", "S",
-           number("s")),
+    Option("--from", "first second that is read", "s", float, {"dest": "begin"}),
+    Option("--to", "last second that is read", "s", float, {"dest": "end"}),
+    Option("--longest-gap", "a log with a longer one is refused; default: 60 s, or 20 steps", "s",
+           float),
 )  # fmt: skip
 VEHICLE = {  # the setting of a flight file that an option replaces
-    "response_time": Option("--response-time", "of linear drag; alone: no quadratic drag", "S",
-                            number("s")),
-    "drag": Option("--drag", "quadratic drag; alone: no linear drag", "1/M", number("1/m")),
-    "thrust_ax": Option("--thrust-ax", "thrust along x in m/s^2", "AX", number("m/s^2")),
-    "thrust_ay": Option("--thrust-ay", "thrust along y in m/s^2", "AY", number("m/s^2")),
-    "thrust_scale": Option("--thrust-scale", "of the measured thrust ax, ay", "S", number()),
+    "response_time": Option(
+        "--response-time", "of linear drag; alone: no quadratic drag", "s", float),
+    "drag": Option("--drag", "quadratic drag; alone: no linear drag", "1/m", float),
+    "thrust_ax": Option("--thrust-ax", "thrust along x", "m/s^2", float),
+    "thrust_ay": Option("--thrust-ay", "thrust along y", "m/s^2", float),
+    "thrust_scale": Option("--thrust-scale", "of the measured thrust ax, ay", "NUMBER", float),
 }  # fmt: skip
 STAND_IN = 1.0  # s or 1/m; where the drag is sought, a flight needs one that nothing reads
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    parser = verb(verbs, "estimate", run, EXAMPLE)
-    declare(parser, (FLIGHT, JSON, PLOT, FORCE))
-    declare(parser.add_argument_group("log"), LOG)
-    declare(parser.add_argument_group("estimator"), ALL)
-    vehicle = parser.add_argument_group("vehicle (in place of what the file says)")
-    declare(vehicle, VEHICLE.values())
+    vehicle = {"vehicle (in place of what the file says)": VEHICLE.values()}
+    groups = {"log": LOG, "estimator": ALL, **vehicle}
+    verb(verbs, "estimate", run, EXAMPLE, (FLIGHT, PLOT, FORCE), groups)
 
 
 def run(args: argparse.Namespace) -> Reply:
@@ -148,7 +145,8 @@ def _flight(
         elif table.notes:  # no line of ours can be added to a log of others
             cause = "the log does not tell; give --response-time, or --unknown response_time"
         raise InputError(f"{path}: no vehicle: {cause}")
-    vehicle = vehicle_of(settings)
+    with told_with("the command line" if given else path):
+        vehicle = vehicle_of(settings)
     with told_with(path):
         flight = table.flight(vehicle)
         begin, end = (getattr(args, name) for name in ("begin", "end"))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from sparsefit.cli.estimator_file import read_estimator
-from sparsefit.cli.options import Option, Reply, Verbs, declare, verb
+from sparsefit.cli.options import Option, Reply, Verbs, verb
 from sparsefit.cli.terminal import check_folder
 from sparsefit.errors import one_line
 from sparsefit.whole_file import write_whole
@@ -28,7 +28,7 @@ OPTIONS = (
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    declare(verb(verbs, "export", run, EXAMPLE), OPTIONS)
+    verb(verbs, "export", run, EXAMPLE, OPTIONS)
 
 
 def run(args: argparse.Namespace) -> Reply:
@@ -53,4 +53,5 @@ def run(args: argparse.Namespace) -> Reply:
         f"       {grid.lower:g} to {grid.upper:g} m, {real}",
         *(line[4:] for line in readme if line[4:8] in costs),
     ]
-    return Reply({}, lines)
+    files = [str(folder / path) for path in content]
+    return Reply({"folder": args.folder, "number": real, "written": files}, lines)

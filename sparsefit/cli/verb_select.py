@@ -8,19 +8,7 @@ import sys
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import (
-    FORCE,
-    JSON,
-    RESULTS,
-    Option,
-    Reply,
-    Verbs,
-    declare,
-    number,
-    option_of,
-    verb,
-    whole,
-)
+from sparsefit.cli.options import FORCE, RESULTS, Option, Reply, Verbs, option_of, verb
 from sparsefit.cli.terminal import Progress, check_output
 from sparsefit.cli.verb_study import STUDY, stored
 from sparsefit.study.keys import SelectionRule
@@ -36,32 +24,25 @@ EXAMPLE = """\
   sparsefit select studies/NAME.toml --criterion "95th percentile length-scale-error"
   sparsefit select studies/NAME.toml --on-board && sparsefit export estimator.json --c flow
 """
-READERS: dict[type, tuple[Any, str]] = {
-    bool: (None, ""), int: (whole, "N"), str: (str, "WORDS")
-}  # fmt: skip
+READERS: dict[type, tuple[Any, str]] = {bool: (None, ""), int: (int, "N"), str: (str, "WORDS")}
 RUN = (
-    Option("--processes", "of --check; default: one per processor", "N", whole),
+    Option("--processes", "of --check; default: one per processor", "N", int),
     Option("--measure-again", "time the candidates anew, known or not", read=None),
     Option("-o --output", "estimator to write; default: estimator.json", "FILE",
            extra={"default": "estimator.json"}),
     FORCE,
-    JSON,
 )  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    parser = verb(verbs, "select", run, EXAMPLE)
-    declare(parser, (STUDY, RESULTS))
-    rule = parser.add_argument_group("rule", "in place of what [select] of the study file says")
-    words = sentences(SelectionRule)
+    words, rule = sentences(SelectionRule), list[Option]()
     for item in fields(SelectionRule):
-        unit = item.metadata["unit"]
-        read, metavar = number(unit), unit.upper() or "NUMBER"
-        if isinstance(item.default, bool | int | str):
-            read, metavar = READERS[type(item.default)]
-        declare(rule, [option_of(item.name, words[item.name], metavar, read)])
-    declare(parser, RUN)
+        number = (float, item.metadata["unit"] or "NUMBER")
+        read, metavar = READERS.get(type(item.default), number)
+        rule.append(option_of(item.name, words[item.name], metavar, read))
+    groups = {"rule (in place of what [select] of the study file says)": rule}
+    verb(verbs, "select", run, EXAMPLE, (STUDY, RESULTS, *RUN), groups)
 
 
 def run(args: argparse.Namespace) -> Reply:

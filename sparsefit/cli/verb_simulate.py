@@ -10,21 +10,11 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from sparsefit.cli.options import (
-    FORCE,
-    Option,
-    Reply,
-    Verbs,
-    declare,
-    number,
-    option_of,
-    verb,
-    whole,
-)
+from sparsefit.cli.options import FORCE, Option, Reply, Verbs, option_of, verb
 from sparsefit.cli.terminal import check_output
 from sparsefit.codec import Place
 from sparsefit.errors import InputError, integer, one_line
-from sparsefit.study.quantities import QUANTITIES, FlightWords, Quantity
+from sparsefit.study.quantities import QUANTITIES, FlightWords
 from sparsefit.study.schema import described, sentences
 
 EXAMPLE = """\
@@ -40,35 +30,33 @@ DEFAULTS: dict[str, Any] = {
     "response_time": 0.5, "thrust_acceleration": [5.0, 3.0], "duration": 10.0, "sample_rate": 100.0
 }  # fmt: skip
 OF_STUDIES = ("together", "measurement_noise")  # several flights, two noises in one sweep
-GROUPS = ("flow", "vehicle", "flight", "faults of the log")
-
-
-def _group(row: Quantity) -> str:
-    """The title under which an option stands in the help."""
-    if row.fault or row.name == "time_jitter":
-        return "faults of the log"
-    if row.of_flow or row.name.startswith("wind"):
-        return "flow"
-    of_vehicle = any(word in row.name for word in ("response", "thrust", "drag"))
-    return "vehicle" if of_vehicle else "flight"
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    parser = verb(verbs, "simulate", run, EXAMPLE)
-    groups = {title: parser.add_argument_group(title) for title in GROUPS}
+    groups: dict[str, list[Option]] = {
+        title: [] for title in ("flow", "vehicle", "flight", "faults of the log")
+    }
     for name, row in QUANTITIES.items():
+        of_vehicle = any(word in name for word in ("response", "thrust", "drag"))
+        title = "vehicle" if of_vehicle else "flight"
+        if row.fault or name == "time_jitter":
+            title = "faults of the log"
+        elif row.of_flow or name.startswith("wind"):
+            title = "flow"
         if name not in OF_STUDIES:
             words = described(row.sentence, row.unit, row.range, DEFAULTS.get(name))
-            metavar = "X Y" if len(row.streams) == 2 else (row.unit or "NUMBER").upper()
-            option = option_of(name, words, metavar, number(row.unit))
-            declare(groups[_group(row)], (option,))
+            metavar = "X Y" if len(row.streams) == 2 else row.unit or "NUMBER"
+            groups[title].append(option_of(name, words, metavar, float))
     for name, words in sentences(FlightWords).items():
-        declare(groups["flow"], (option_of(name, words, "NAME", str),))
-    seed = Option("--seed", "of all that is random; default: 0", "N", whole, {"default": 0})
-    output = Option("-o --output", "flight to write, .csv or .parquet", "FILE",
-                    extra={"required": True})  # fmt: skip
-    declare(parser, (seed, output, FORCE))
+        groups["flow"].append(option_of(name, words, "NAME", str))
+    options = (
+        Option("--seed", "of all that is random; default: 0", "N", int, {"default": 0}),
+        Option("-o --output", "flight to write, .csv or .parquet", "FILE",
+               extra={"required": True}),
+        FORCE,
+    )  # fmt: skip
+    verb(verbs, "simulate", run, EXAMPLE, options, groups)
 
 
 class OptionPlace(Place):
@@ -105,4 +93,6 @@ def run(args: argparse.Namespace) -> Reply:
         speed, scale = values["mean_velocity"], values["length_scale"]
         through = f"a flow of {speed:g} m/s and {scale:g} m ({scale / speed:.3g} s)"
     words = f"{flight.samples} samples over {flight.duration:g} s, {flight.extent:.3g} m across"
-    return Reply({}, [f"{one_line(args.output)}: {words}, in {through}"])
+    record = {**values, "output": args.output, "seed": args.seed, "samples": flight.samples,
+              "extent": flight.extent}  # fmt: skip
+    return Reply(record, [f"{one_line(args.output)}: {words}, in {through}"])

@@ -9,27 +9,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import (
-    FORCE,
-    JSON,
-    RESULTS,
-    Option,
-    Reply,
-    Verbs,
-    declare,
-    number,
-    print_help,
-    verb,
-    whole,
-)
-from sparsefit.cli.terminal import (
-    Progress,
-    check_output,
-    coloured,
-    duration,
-    rows_of,
-    terminal_width,
-)
+from sparsefit.cli import terminal
+from sparsefit.cli.options import FORCE, RESULTS, Option, Reply, Verbs, print_help, verb
+from sparsefit.cli.terminal import coloured, rows_of, terminal_width
 from sparsefit.errors import InputError, non_negative, one_line, told_with
 
 if TYPE_CHECKING:
@@ -55,7 +37,7 @@ MERGE = """\
 STUDY = Option("study", "study file, .toml", "STUDY")
 REPEATED = {"action": "append", "default": []}
 RUN = (
-    Option("--processes", "default: one per processor of this machine", "N", whole),
+    Option("--processes", "default: one per processor of this machine", "N", int),
     Option("--fresh", "start over, and drop the cases that are there", read=None),
     Option("--retry-failed", "compute cases again that ended as error, timeout or crashed",
            read=None),
@@ -82,7 +64,7 @@ COMPARED = (
              name.upper()) for name in ("first", "second")),
     RESULTS,
     Option("--tolerance", "a number that changed by less is the same; default: 1e-6 of itself",
-           "SHARE", number(), {"default": 1e-6}),
+           "SHARE", float, {"default": 1e-6}),
 )  # fmt: skip
 PARTS = Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"})
 SECTION = Option("section", "flights, library, run, select ...; default: all of them", "SECTION",
@@ -91,7 +73,8 @@ SECTION = Option("section", "flights, library, run, select ...; default: all of 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb and its actions."""
-    parser = verb(verbs, "study", print_help, EXAMPLE, "check, plan, run and read a study")
+    about = "check, plan, run and read a study"
+    parser = verb(verbs, "study", print_help, EXAMPLE, summary=about)
     actions = parser.add_subparsers(metavar="ACTION", title="actions", dest="action")
     of_study = (STUDY, RESULTS)
     for run, options, example in (
@@ -108,7 +91,7 @@ def add(verbs: Verbs) -> None:
     ):
         name = run.__name__.removesuffix("_study")
         example = example or f"  sparsefit study {name} studies/NAME.toml\n"
-        declare(verb(actions, name, run, example), (*options, JSON))
+        verb(actions, name, run, example, options)
 
 
 def read_study(args: argparse.Namespace) -> Study:
@@ -192,7 +175,7 @@ def run_study(args: argparse.Namespace) -> Reply:
     args.stopped = f"stopped; run the same command {again}"
     study = _checked(args)
     names = ("processes", "fresh", "retry_failed", "stale", "only", "executor", "scheduler")
-    with Progress() as progress:
+    with terminal.Progress() as progress:
         summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
     if summary.dropped:
         print(f"{summary.dropped} cases that the study no longer plans are left out",
@@ -210,7 +193,7 @@ def run_study(args: argparse.Namespace) -> Reply:
     if summary.computed:
         before = f", {summary.resumed} of them from before" if summary.resumed else ""
         together = f" on {summary.processes} processes" if summary.processes > 1 else ""
-        took = f"{duration(summary.seconds)}{together}"
+        took = f"{terminal.duration(summary.seconds)}{together}"
         lines.append(f"{summary.done} cases{before} ({counted}) in {took}")
     else:
         there = "all" if summary.finished else f"{summary.done} of"
@@ -304,7 +287,7 @@ def _show_case(args: argparse.Namespace) -> Reply:
     if args.output is not None:
         if flown is None:
             raise InputError("--output: there is no flight to draw in a study of solvers")
-        check_output(args.output, force=args.force, endings=(".html", ".svg", ".png"))
+        terminal.check_output(args.output, force=args.force, endings=(".html", ".svg", ".png"))
     table = write_case(study, args.case, flown)
     record = {"case": args.case, "picture": flown and str(flown), **table.record()}
     written = [f"written to {flown}"] if flown else []

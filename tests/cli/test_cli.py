@@ -56,6 +56,9 @@ def test_simulate_writes_the_flight_it_was_asked_for(capsys, name):
     code, out, _ = run(capsys, *SIMULATE, *options, "--duration", "2", "-o", name)
     assert code == 0
     assert out.startswith(f"{name}: 201 samples over 2 s")
+    again = ("--duration", "2", "-o", name, "--force", "--json")
+    found = json.loads(run(capsys, *SIMULATE, *options, *again)[1])
+    assert (found["output"], found["samples"], found["response_time"]) == (name, 201, 0.25)
     flight = read_flight(name)
     assert flight.flow.mean_velocity == 15.43
     assert flight.vehicle.response_time == 0.25
@@ -366,15 +369,16 @@ def test_check_refuses_what_it_does_not_know(capsys):
 
 
 VERBS = ("simulate", "estimate", "study", "study check", "study plan", "study run", "study status",
-         "study errors", "study show", "study report", "select", "backends", "backends list",
-         "backends check")  # fmt: skip
+         "study errors", "study show", "study report", "study compare", "study merge", "study keys",
+         "select", "export", "backends", "backends list", "backends check", "completion")  # fmt: skip
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_has_help_with_an_example(capsys, verb):
+def test_every_verb_has_help_with_an_example_and_json(capsys, verb):
     code, out, _ = run(capsys, *verb.split(), "--help")
     assert code == 0
-    assert f"example:\n  sparsefit {verb.split()[0]}" in out
+    assert re.search(rf"example:\n  .*sparsefit {verb.split()[0]}", out)
+    assert "--json" in out
 
 
 @pytest.mark.parametrize("argv", ["estimat", "study rum", "backends foo", "estimate"])
