@@ -370,7 +370,8 @@ def test_check_refuses_what_it_does_not_know(capsys):
 
 VERBS = ("simulate", "estimate", "study", "study check", "study plan", "study run", "study status",
          "study errors", "study show", "study report", "study compare", "study merge", "study keys",
-         "select", "export", "backends", "backends list", "backends check", "completion")  # fmt: skip
+         "select", "export", "backends", "backends list", "backends check",
+         "completion")  # fmt: skip
 
 
 @pytest.mark.parametrize("verb", VERBS)
