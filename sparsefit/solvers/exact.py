@@ -14,6 +14,7 @@ Huber's loss is the squares with a column of the identity for each row, an outli
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -47,36 +48,44 @@ HELD = 2**25  # entries of the columns in play that are held as rows beside thei
 
 @dataclass(frozen=True, eq=False)
 class InPlay:
-    """Columns in play: their indices (j,), Z_J (m, j) where it is held, Z_J'Z_J/m where it is.
+    """Columns in play: their indices (j,), B (j, q), Z_J (m, j) where it is held, Z_J'Z_J/m too.
 
-    Where the columns are more than the rows, some kernels do without their products.
+    Where the columns are more than the rows, some kernels do without their products. store (s, m):
+    the columns Z_J, and room for more, which further ones are written into.
     """
 
     design: Design
     target: Array
     index: IntArray
-    rows: Array | None
+    cross: Array
+    store: Array | None
     gram: Array | None
 
-    def joined(self, new: IntArray, by_gram: bool) -> InPlay:
-        """With further columns behind those that there are."""
-        index = np.concatenate([self.index, new])
-        (m, _), old, gram = self.design.shape, len(self.index), None
-        rows = None
-        if m * len(index) <= HELD:
-            rows = np.empty((m, len(index)), order="F")
-            if old:
-                rows[:, :old] = self.rows
-            rows[:, old:] = self.design.columns(new)
+    @property
+    def rows(self) -> Array | None:
+        """Z_J (m, j), where it is held."""
+        return None if self.store is None else self.store[: len(self.index)].T
+
+    def joined(self, new: IntArray, cross: Array, by_gram: bool) -> InPlay:
+        """With further columns behind those that there are, of which cross is Z'Y/m."""
+        index, pull = np.concatenate([self.index, new]), np.concatenate([self.cross, cross])
+        (m, _), old, gram, store = self.design.shape, len(self.index), None, self.store
+        if m * len(index) > HELD:
+            store = None
+        elif store is not None:
+            if len(index) > len(store):
+                store = np.empty((min(2 * len(index), HELD // m), m))
+                store[:old] = self.rows.T if self.rows is not None else 0.0
+            store[old : len(index)] = self.design.columns(new).T
         if by_gram and self.gram is not None:
             gram = np.empty((len(index), len(index)))
             gram[:old, :old] = self.gram
-            if rows is not None:
-                gram[old:] = rows[:, old:].T @ rows / self.design.samples
+            if store is not None:
+                gram[old:] = store[old : len(index)] @ store[: len(index)].T / self.design.samples
             else:
                 gram[old:] = self.design.products(new, index)
             gram[:old, old:] = gram[old:, :old].T
-        return InPlay(self.design, self.target, index, rows, gram)
+        return InPlay(self.design, self.target, index, pull, store, gram)
 
     @property
     def normal(self) -> Normal:
@@ -87,11 +96,66 @@ class InPlay:
         """Z_J V (m, q) of V (j, q)."""
         if self.rows is not None:
             on = np.flatnonzero(values.any(axis=1))
-            out: Array = self.rows[:, on] @ values[on]
+            few = 2 * len(on) < len(values)
+            out: Array = self.rows[:, on] @ values[on] if few else self.rows @ values
             return out
         full = np.zeros((self.design.shape[1], values.shape[1]))
         full[self.index] = values
         return self.design.predict(full)
+
+    def back(self, values: Array) -> Array:
+        """V (a, j, q) of the columns as they are."""
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class Turned(InPlay):
+    """Columns in play, those of a block turned into its principal ones, which keeps norms of blocks.
+
+    blocks (k,): of all columns; turns: the first place of each block, and the matrix that turns it.
+    """
+
+    blocks: IntArray
+    turns: tuple[tuple[int, Array], ...] = ()
+
+    @classmethod
+    def of(cls, play: InPlay, blocks: IntArray, new: IntArray, cross: Array) -> Turned:
+        """Those in play and new ones, of which cross (k, q) is Z'Y/m."""
+        index = np.concatenate([play.index, new])
+        index = index[np.argsort(blocks[index], kind="stable")]
+        store, none = np.empty(play.design.shape[::-1]), np.zeros(0, dtype=np.intp)
+        empty = cls(play.design, play.target, none, cross[none], store, None, blocks)
+        return empty.joined(index, cross[index], False)
+
+    def joined(self, new: IntArray, cross: Array, by_gram: bool) -> Turned:
+        """With the columns of further blocks, turned where they are stored."""
+        assert self.store is not None
+        order = np.argsort(self.blocks[new], kind="stable")
+        new, old, turns = new[order], len(self.index), list(self.turns)
+        columns = self.design.columns(new).T
+        pull = np.concatenate([self.cross, cross[order]])
+        ends = np.flatnonzero(np.diff(self.blocks[new], append=-1)) + 1
+        for first, end in pairwise([0, *ends.tolist()]):
+            block, at = columns[first:end], slice(old + first, old + end)
+            turn = np.linalg.eigh(block @ block.T)[1].T
+            np.matmul(turn, block, out=self.store[at])
+            pull[at] = turn @ pull[at]
+            turns.append((at.start, turn))
+        index = np.concatenate([self.index, new])
+        return replace(self, index=index, cross=pull, turns=tuple(turns))
+
+    def forth(self, values: Array) -> Array:
+        """V (j, q) of the turned columns, from those as they are."""
+        at = ((slice(first, first + len(turn)), turn) for first, turn in self.turns)
+        return np.concatenate([turn @ values[part] for part, turn in at])
+
+    def back(self, values: Array) -> Array:
+        """V (a, j, q) of the columns as they are."""
+        out = np.empty_like(values)
+        for first, turn in self.turns:
+            part = slice(first, first + len(turn))
+            out[:, part] = turn.T @ values[:, part]
+        return out
 
 
 def exact_path(
@@ -167,38 +231,44 @@ def _with_working_set(
     start: int,
 ) -> Points:
     """The path on the columns in play, ``start`` of them or more at first."""
-    (k, q), count = cross.shape, len(alphas)
+    (k, q), count, m = cross.shape, len(alphas), design.shape[0]
     name, pull = kernel_for(penalty, q), penalty.block_dual_norms(cross).max(axis=-1)
     # The whole blocks of the largest dual norms; of one block of all columns the largest |Z'Y|.
     pull = pull[penalty.blocks] if len(pull) > 1 else np.abs(cross).max(axis=1)
     index = _whole(penalty, np.argsort(-pull, kind="stable"), start)
-    empty = InPlay(design, target, index[:0], None, np.zeros((0, 0)))
-    play = empty.joined(index, True)
+    room = np.empty((min(4 * len(index), HELD // m), m))
+    empty = InPlay(design, target, index[:0], cross[:0], room, np.zeros((0, 0)))
+    play = empty.joined(index, cross[index], True)
     weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
     steps, done, ahead = np.zeros(count, np.intp), 0, AHEAD
     attempts = {BEGIN: np.zeros((len(index), q))}
     while done < count:
         here, part = alphas[done : done + ahead], penalty.restricted(play.index)
         assert part is not None
-        on = OnColumns(play.normal, cross[play.index], part, units)
+        on = OnColumns(play.normal, play.cross, part, units)
         stretch = KERNELS[name](on, here, attempts)
-        in_use, m = int(stretch.values.any(axis=2).any(axis=0).sum()), design.shape[0]
+        in_use = int(stretch.values.any(axis=2).any(axis=0).sum())
         if name == "variational" and 2 * in_use > m >= MANY and m * k <= HELD:
             name = "block descent"
         near = NEAR if name == "block descent" else 0.0
         accepted, new = _objections(play, penalty, here, stretch.values, near)
         until = done + accepted
-        weights[done:until, play.index] = stretch.values[:accepted]
+        weights[done:until, play.index] = play.back(stretch.values[:accepted])
         complete[done:until] = stretch.complete[:accepted]
         steps[done:until] = stretch.steps[:accepted]
         done = until
         ahead = min(AHEAD, 2 * ahead) if accepted == len(here) else max(accepted, 1)
         attempts |= dict(zip(here.tolist(), stretch.values, strict=True))
-        if len(new):
-            in_rows = name in IN_ROWS and m * k <= HELD and len(play.index) + len(new) > m
-            play = play.joined(new, not in_rows)
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
+        if near and not isinstance(play, Turned):
+            before = np.concatenate([play.index, new])
+            turned = play = Turned.of(play, penalty.blocks, new, cross)
+            order = np.argsort(before)[np.argsort(np.argsort(turned.index))]
+            attempts = {at: turned.forth(v[order]) for at, v in attempts.items()}
+        elif len(new):
+            in_rows = name in IN_ROWS and m * k <= HELD and len(play.index) + len(new) > m
+            play = play.joined(new, cross[new], not in_rows)
     return Points(weights, complete, steps, f"{name}, {len(play.index)} columns in play")
 
 

@@ -194,8 +194,8 @@ def _count(groups: IntArray) -> IntArray:
 def block_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
     """Group norms by block descent with extrapolation, for many columns in use beside the rows.
 
-    Columns of a group are turned into its principal ones, which leaves the norm as it is.
-    Source: Bertrand and Massias, "Anderson acceleration of coordinate descent" (AISTATS 2021).
+    The columns of a group are neighbours, and orthogonal. Source: Bertrand and Massias, "Anderson
+    acceleration of coordinate descent" (AISTATS 2021).
     """
     descent, level, attempts = _Descent(on), on.units.level, dict(attempts)
     solved, gaps = np.empty((len(alphas), *on.cross.shape)), np.zeros(len(alphas))
@@ -205,8 +205,7 @@ def block_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
         values, gaps[i], steps[i] = descent.settled(start, alpha / level)
         attempts[alpha] = solved[i] = values * level
         if gaps[i] > DESCENDED:  # columns are too much alike
-            assert on.normal.rows is not None
-            gram = on.normal.rows.T @ on.normal.rows / on.normal.samples
+            gram = descent.rows.T @ descent.rows / descent.samples
             rest = variational(
                 replace(on, normal=replace(on.normal, gram=gram)), alphas[i:], attempts
             )
@@ -221,39 +220,25 @@ def block_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
 class _Descent:
     """Sweeps over neighbouring groups of orthogonal columns, in units of the target.
 
-    order (j,): the columns by group; turns: of the groups of one size, the places (g, b) of their
-    columns in that order and the matrices (g, b, b) that make these orthogonal; rows Z (m, j) so
-    ordered and turned, square (j,): the mean squares of its columns.
+    rows Z (m, j), square (j,): the mean squares of its columns; starts (g + 1,) of the groups.
     """
 
     def __init__(self, on: OnColumns) -> None:
         assert isinstance(on.penalty, GroupNorms)
         assert on.normal.rows is not None
         assert on.normal.target is not None
-        self.samples, self.target = on.normal.samples, on.normal.target.T / on.units.level
-        self.order = np.argsort(on.penalty.groups, kind="stable")
-        self.penalty = replace(on.penalty, groups=on.penalty.groups[self.order])
-        self.starts = np.searchsorted(self.penalty.groups, _count(on.penalty.groups))
-        rows, self.square = np.empty(on.normal.rows.T.shape), np.empty(len(self.order))
-        self.turns, sizes = [], np.diff(self.starts)
-        for size in np.unique(sizes).tolist():
-            at = self.starts[:-1][sizes == size][:, None] + np.arange(size)
-            part = on.normal.rows.T[self.order[at]]
-            self.square[at], turn = np.linalg.eigh(part @ part.transpose(0, 2, 1) / self.samples)
-            rows[at] = turn.transpose(0, 2, 1) @ part
-            self.turns.append((at, turn))
-        self.rows, self.cross = rows.T, rows @ self.target.T / self.samples
-
-    def turned(self, values: Array, back: bool = False) -> Array:
-        """Values (j, q), ordered by group, in the columns that are orthogonal, or back."""
-        out = np.empty_like(values)
-        for at, turn in self.turns:
-            out[at] = (turn if back else turn.transpose(0, 2, 1)) @ values[at]
-        return out
+        self.samples, self.rows, level = on.normal.samples, on.normal.rows, on.units.level
+        self.target, self.cross = on.normal.target.T / level, on.cross / level
+        groups = on.penalty.groups
+        self.starts = np.flatnonzero(np.diff(groups, prepend=-1, append=-1))
+        weights = on.penalty.weights[groups[self.starts[:-1]]]
+        groups = np.repeat(np.arange(len(weights)), np.diff(self.starts))
+        self.penalty = replace(on.penalty, groups=groups, weights=weights)
+        self.square = np.einsum("ij,ij->j", self.rows, self.rows) / self.samples
 
     def settled(self, start: Array, alpha: float) -> tuple[Array, float, int]:
         """The optimum (j, q) from another point, its gap, and sweeps."""
-        values, penalty, steps = self.turned(start[self.order]).T.copy(), self.penalty, 0
+        values, penalty, steps = start.T.copy(), self.penalty, 0
         residual = self.target - values @ self.rows.T
         limits = alpha * penalty.weights
 
@@ -272,9 +257,7 @@ class _Descent:
             correlation = (residual @ self.rows).T / self.samples
             gap = relative_gap(values.T, correlation, self.cross, penalty, alpha)
             if gap <= DESCENDED or steps >= MOST:
-                out = np.empty_like(start)
-                out[self.order] = self.turned(values.T, back=True)
-                return out, gap, steps
+                return values.T, gap, steps
             steps += 1 + EXTRAPOLATED
             trail = [swept(np.arange(len(limits)))]
             used = np.flatnonzero(penalty.block_norms(values.T).any(axis=1))
