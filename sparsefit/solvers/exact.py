@@ -110,7 +110,7 @@ class InPlay:
 
 @dataclass(frozen=True, eq=False)
 class Turned(InPlay):
-    """Columns in play, those of a block turned into its principal ones, which keeps norms of blocks.
+    """Columns in play, those of a block turned into its principal ones, which keeps its norm.
 
     blocks (k,): of all columns; turns: the first place of each block, and the matrix that turns it.
     """
