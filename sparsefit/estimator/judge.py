@@ -129,6 +129,10 @@ def doubts_of_flow(
             where = f" of flight {first.flight}" if first.flight else ""
             name = first.free
             remedy = f'; free it: free = ["{name}"] (--free {name}), or free = "auto"'
+            if result.diagnosis.posterior is posterior:  # a law that turbulence hides
+                remedy = (
+                    '; give the vehicle its own law, or free it: free = ["response_time", "drag"]'
+                )
             yield misfit(f"{MORE}{where}: {first.words}{remedy if name else ''}")
         wanders = [own.name for own in posterior.model.disturbance.processes]
         unasked = [name for name in wanders if name in FREEDOMS and name not in free]

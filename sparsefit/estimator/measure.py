@@ -293,7 +293,8 @@ def measure_flow(
         )  # fmt: skip
     posterior, suspects = diagnosis.believed, diagnosis.suspects
     of_flow = any(own.of_flow for own in suspects)
-    slight = not of_flow and _apart(diagnosis.believed, diagnosis.posterior) < SLIGHT
+    refitted = diagnosis.posterior is not diagnosis.believed
+    slight = refitted and not of_flow and _apart(posterior, diagnosis.posterior) < SLIGHT
     if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
     rivals = [

@@ -25,7 +25,7 @@ import numpy as np
 from sparsefit.errors import InputError
 from sparsefit.likelihood.causes import ALIKE, BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
 from sparsefit.likelihood.gains import Gain, chance_of, gains_of
-from sparsefit.likelihood.model import Model, Process
+from sparsefit.likelihood.model import SLOWEST, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, Rung, measure
@@ -201,6 +201,9 @@ def diagnose(
             if FALSE_ALARM <= tests * chance_of(own.gain, len(own.step)) < HINT
         ]  # fmt: skip
         shares = tuple(np.max([shares, *np.abs(hints).tolist()], axis=0).tolist())
+    walks = [own.name for own in posterior.model.disturbance.processes]
+    if "turbulence" in walks and not suspects and "turbulence" not in freed:
+        suspects = _another_law(posterior)
     return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
 
 
@@ -306,6 +309,28 @@ def _simplest(
             if there and usable(there) and inside(there) and there.bic < posterior.bic:
                 return there
     return posterior
+
+
+def _another_law(posterior: Posterior) -> list[Suspect]:
+    """Another law of drag, where it explains more of a flight in turbulence than the process does.
+
+    A first-order process is rougher than air, and a response time filters it: the gain of the drag
+    counts beside a free response time, and over the mean score of neighbouring waves.
+    """
+    laws, quadratic = list[Suspect](), posterior.value("response_time") >= SLOWEST
+    law = {"response_time": "response_time", "quadratic_drag": "drag"}
+    known = tuple(name for name in law if name not in posterior.names)
+    if not known or (quadratic and "quadratic_drag" in posterior.names):
+        return laws
+    gains = gains_of(posterior, {"filter": known[:-1], "law": known})
+    for (name, flight), own in gains.items():
+        if name == "law":
+            base = gains["filter", flight].gain if known[:-1] else 0.0
+            gain, free = (own.gain - base) / posterior.inflation, law[known[-1]]
+            if (chance := chance_of(gain, 1)) < FALSE_ALARM:
+                size = (float(own.step[-1]),)
+                laws.append(Suspect(FREEDOMS[free].name, size, chance, gain, free, flight))
+    return sorted(laws, key=lambda own: -own.share)
 
 
 def _tuned(

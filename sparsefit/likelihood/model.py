@@ -56,6 +56,7 @@ ELEMENTS: dict[str, float] = {
     "position_bias_y": 0.0,
 }
 """The elements in the order of the passes, with their defaults; those of the waves follow."""
+SLOWEST = 1e6  # [s], of a vehicle whose drag is quadratic alone
 LEVELS = ("acceleration", "position_noise", "velocity_noise")
 
 
@@ -141,7 +142,7 @@ class Model:
         cls, pattern: StreamPattern, flight: Flight, vehicle: PointMassVehicle, wind: Pair
     ) -> Model:
         """The model of a flight of a vehicle; a constant thrust is in the log, not in the model."""
-        tau = min(vehicle.response_time, 1e6)  # [s]: of a vehicle whose drag is quadratic alone
+        tau = min(vehicle.response_time, SLOWEST)
         x, y = (0.0, 0.0) if flight.thrust is None else vehicle.thrust_acceleration
         scale = 1.0 if flight.thrust is None else vehicle.thrust_scale
         own = {"response_time": tau, "thrust_scale": scale, "thrust_bias_x": x, "thrust_bias_y": y}

@@ -116,6 +116,20 @@ def test_the_wrong_law_of_drag_is_named():
     assert estimated(replace(other, vehicle=QUADRATIC), "drag").status != "ok"
 
 
+@pytest.mark.parametrize("free", [(), ("drag",)])
+def test_turbulence_does_not_hide_the_wrong_law_of_drag_in_a_log_without_noise(free):
+    vehicle = sf.PointMassVehicle(math.inf, (5.0, 3.0), 0.3)
+    linear = sf.PointMassVehicle(0.5, (5.0, 3.0))
+    settings = {"duration": 20.0, "sample_rate": 50.0, "seed": 5}
+    flight = sf.simulate_flight(sf.CellularFlow(15.0, 7.0), vehicle, **settings)
+    estimate = sf.Estimator(free=free).estimate(replace(flight, vehicle=linear))
+    assert estimate.status == "misfit"
+    assert 'free = ["response_time", "drag"]' in estimate.reason
+    gusts = sf.flows.Turbulence(0.5, 8.0, seed=1)
+    air = sf.flows.SuperposedFlow((sf.CellularFlow(15.0, 7.0), gusts))
+    assert sf.Estimator().estimate(sf.simulate_flight(air, linear, **settings)).status == "ok"
+
+
 @pytest.mark.parametrize("ratio", [1.05, 1.2])
 def test_a_wrong_vehicle_is_named_in_a_log_without_noise(ratio):
     flow, vehicle = sf.CellularFlow(12.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
