@@ -120,7 +120,7 @@ def test_the_wrong_law_of_drag_is_named():
 def test_turbulence_does_not_hide_the_wrong_law_of_drag_in_a_log_without_noise(free):
     vehicle = sf.PointMassVehicle(math.inf, (5.0, 3.0), 0.3)
     linear = sf.PointMassVehicle(0.5, (5.0, 3.0))
-    settings = {"duration": 20.0, "sample_rate": 50.0, "seed": 5}
+    settings = {"duration": 20.0, "sample_rate": 25.0, "seed": 5}
     flight = sf.simulate_flight(sf.CellularFlow(15.0, 7.0), vehicle, **settings)
     estimate = sf.Estimator(free=free).estimate(replace(flight, vehicle=linear))
     assert estimate.status == "misfit"
