@@ -31,7 +31,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from sparsefit import backends
 from sparsefit.cli import parser
-from sparsefit.study import definition, figures, keys, measures, tables
+from sparsefit.study import definition, entries, figures, keys, measures, tables
 from sparsefit.study.resampling import SUMMARY_NAMES
 
 DOCS = Path(__file__).parents[1]
@@ -139,8 +139,8 @@ def study_names(kind: str, options: Mapping[str, str]) -> list[str]:
         return table(("measure", "what it is", "unit"), rows)
     names: Iterable[str] = SUMMARY_NAMES
     if kind != "summaries":
-        room = {"tables": tables, "figures": figures}[kind]
-        names = {**room.NAMED, **room.LAYOUTS}
+        layouts = {"tables": tables.LAYOUTS, "figures": figures.LAYOUTS}[kind]
+        names = {**entries.shipped(kind), **layouts}
     return [", ".join(f"`{name}`" for name in names) + "."]
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import math
 import runpy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -107,26 +109,31 @@ def call(function: Callable[..., Any], study: Any, cases: pd.DataFrame, *kinds: 
     return made
 
 
+@cache
+def shipped(kind: str) -> dict[str, dict[str, Any]]:
+    """Return the entries of outputs.toml by name: the `tables` or the `figures`."""
+    text = (resources.files(__package__) / "outputs.toml").read_text(encoding="utf-8")
+    named: dict[str, dict[str, Any]] = tomllib.loads(text)[kind]
+    return named
+
+
 def asked(
-    study: Any,
-    kind: str,
-    named: Mapping[str, Options],
-    layouts: Mapping[str, bool],
-    names: Sequence[str | Options] = (),
+    study: Any, kind: str, layouts: Collection[str], names: Sequence[str | Options] = (),
     fits: Sequence[str] = (),
-) -> Iterator[tuple[str, Entry | Callable[..., Any]]]:
+) -> Iterator[tuple[str, Entry | Callable[..., Any]]]:  # fmt: skip
     """Give the file name of each output with its entry, or with what calls the script's function.
 
     An entry whose name is shipped, or declared by the study in full, starts from that.
 
     Args:
-        kind: `table` or `figure`; layouts: by name, whether each needs a measure.
+        kind: `table` or `figure`; layouts: the names of those that there are.
         names: those that are asked for, else those that the study declares, else what `fits`.
 
     Raises:
         InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
     """
     functions, own = functions_of(study), getattr(study.definition.outputs, f"{kind}s")
+    named = shipped(f"{kind}s")
     declared = {each["name"]: each for each in own if not isinstance(each, str) and "name" in each}
     for entry in names or own or fits:
         name = entry if isinstance(entry, str) else str(entry.get("name", ""))
@@ -139,12 +146,12 @@ def asked(
         if "/" in name or "\\" in name or name.startswith("."):
             raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
         given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry
-        shipped = named.get(name, {})
-        if given.get("compare", shipped.get("compare")) != shipped.get("compare"):
-            shipped = {}  # another layout under the name of a shipped one
-        read = build(Entry, {**shipped, **given}, Place(f"the {kind}"))
-        one_of(f"compare of the {kind}", read.compare or "settings", layouts)
-        if not read.measures and layouts[read.compare or "settings"]:
+        start = named.get(name, {})
+        if given.get("compare", start.get("compare")) != start.get("compare"):
+            start = {}  # another layout under the name of a shipped one
+        read = build(Entry, {**start, **given}, Place(f"the {kind}"))
+        one_of(f"compare of the {kind}", layout := read.compare or "settings", layouts)
+        if not read.measures and layout in ("settings", "protocols", "lines", "ecdf"):
             raise InputError(f"the {kind} {name!r} needs measure = …: add it")
         yield read.file_name, read
 
@@ -167,17 +174,10 @@ def grouped(
     """Give the values of each group of cases and the places of its rows, as they first appear."""
     import pandas as pd
 
-    if not len(cases):
-        return
-    group = np.zeros(len(cases), dtype=np.int64)
-    for name in names:
-        codes, levels = pd.factorize(cases[name], use_na_sentinel=False)
-        group = pd.factorize(group * len(levels) + codes)[0]
-    order = np.argsort(group, kind="stable")
-    firsts = np.flatnonzero(np.diff(group[order], prepend=-1))
-    columns = [cases[name].to_numpy(dtype=object) for name in names]
-    for places in np.split(order, firsts[1:]):
-        yield tuple(plain(column[places[0]]) for column in columns), places
+    keys = [cases[name].to_numpy() for name in names] or [np.zeros(len(cases))]
+    places = pd.Series(np.arange(len(cases)))
+    for key, own in places.groupby(keys, sort=False, dropna=False):
+        yield tuple(map(plain, key if names else ())), own.to_numpy()
 
 
 def level_text(level: Value) -> str:

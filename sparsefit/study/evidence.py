@@ -18,18 +18,12 @@ from sparsefit.study.figures import Picture
 from sparsefit.study.measures import factors
 from sparsefit.study.page import Code, drawing, joined, picture_files, table_files, to_html
 from sparsefit.study.panels import Curve, Panel, drawn
-from sparsefit.study.selection import LIMITS, Check, Scored, Selection, limit_text
+from sparsefit.study.selection import LIMITS, Check, Selection, limit_text
 from sparsefit.study.table import Column, Row, Table, significant
 from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-DISTURBED = 0.1  # share of timed flights with other programs on the core, from which it is told
-CAPTION = (
-    "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
-    "percentile. Ringed: the chosen; dashed: the front of those that keep every constraint."
-)
 
 
 def listed(names: Sequence[str], word: str = "or") -> str:
@@ -42,82 +36,83 @@ def listed(names: Sequence[str], word: str = "or") -> str:
 
 def headline(selection: Selection) -> str:
     """Return the answer in a sentence that can be read aloud."""
-    if selection.chosen is None:
+    chosen = selection.chosen
+    if chosen is None:
         return f"No candidate of {len(selection.ranked)} keeps every constraint."
-    parts = selection.parts
-    reading, backend = parts[selection.chosen.candidate]
-    alike = [parts[each.candidate][1] for each in selection.passing
-             if each.within and parts[each.candidate][0] == reading]  # fmt: skip
+    reading, backend = chosen.reading, chosen.label
+    mine = [each for each in selection.ranked if each.reading == reading]
+    alike = [each.label for each in mine if each.within]
     if reading and len(alike) > 1:
-        every = {part for own, part in parts.values() if own == reading}
-        which = f"any of {len(alike)} back-ends" if set(alike) == every else listed(alike)
+        every = set(alike) == {each.label for each in mine}
+        which = f"any of {len(alike)} back-ends" if every else listed(alike)
         return f"Use {reading}; {which} will do, {backend} is the simplest."
-    return f"Use {f'{reading} with {backend}' if reading else selection.chosen.title}."
+    return f"Use {f'{reading} with {backend}' if reading else chosen.title}."
 
 
 def lines(selection: Selection, check: Check | None = None) -> list[str]:
     """Return what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
+    return [f"{name}: {text}." for name, text in _said(selection, check)]
+
+
+def _said(selection: Selection, check: Check | None) -> Iterator[tuple[str, str]]:
+    """Give the name and the text of each line."""
     criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
     kind, regimes, count = selection.kind, criterion.regimes, list(selection.units.values())
+
+    def scored(value: float, between: Sequence[float]) -> str:
+        return f"{criterion.say(value)} ({significant(between[0])} to {significant(between[1])})"
+
+    if chosen is not None:
+        fresh = " that had no part in the choice" if len(count) > 1 else ""
+        yield "Score", f"{scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}"
+    yield "Rule", f"{criterion.words}; the simplest within {100 * rule.margin:g} % of the best"
     limits = [
         f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
         for name in LIMITS if (limit := getattr(rule, name)) is not None
     ]  # fmt: skip
     keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
     where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
-    said = {
-        "Rule": f"{criterion.words}; the simplest within {100 * rule.margin:g} % of the best",
-        "Candidates": f"{len(selection.ranked)}{where}, chosen on {count[0]} {kind}{keeping}",
-    }
+    yield "Candidates", f"{len(selection.ranked)}{where}, chosen on {count[0]} {kind}{keeping}"
     if selection.refused:
-        said["Not on board"] = f"{len(selection.refused)} more, see the table"
-    if chosen is None:
-        return [f"{name}: {text}." for name, text in said.items()] + list(_binding(selection))
-
-    def scored(value: float, between: Sequence[float]) -> str:
-        return f"{criterion.say(value)} ({significant(between[0])} to {significant(between[1])})"
-
-    fresh = " that had no part in the choice" if len(count) > 1 else ""
-    score = f"{scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}"
-    said = {"Score": score, **said}
+        yield "Not on board", f"{len(selection.refused)} more, see the table"
+    if chosen is None:  # for each constraint, how many it refuses and who comes closest
+        every = [(breach, each.title) for each in selection.ranked for breach in each.breaches]
+        for name, refused in Counter(breach.constraint for breach, _ in every).most_common():
+            breach, nearest = min((pair for pair in every if pair[0].constraint == name),
+                                  key=lambda pair: pair[0].value)  # fmt: skip
+            yield name, f"refuses {refused}; the closest is {nearest}, {breach.words}"
+        return
     if selection.tied:
-        said["Tied"] = listed([each.title for each in selection.tied], "and")
+        yield "Tied", listed([each.title for each in selection.tied], "and")
     regret, best = selection.regret, selection.hindsight
-    if regret is not None and best is not None:
+    if regret is not None:
         value = scored(regret.effect, (regret.low, regret.high))
-        said["Regret"] = "none" if best is chosen else f"{value} against {best.title}"
+        yield "Regret", "none" if best is chosen else f"{value} against {best.title}"
     if len(regimes) > 1 and np.isfinite(chosen.by_regime).any():
         worst = int(np.nanargmax(criterion.sign * chosen.by_regime))
         value = criterion.say(float(chosen.by_regime[worst]))
-        said["Worst regime"] = f"{value} in {regimes[worst]}"
+        yield "Worst regime", f"{value} in {regimes[worst]}"
     if chosen.broken:
-        said[f"Broken on the evaluate {kind}"] = "; ".join(each.words for each in chosen.broken)
+        broken = "; ".join(each.words for each in chosen.broken)
+        yield f"Broken on the evaluate {kind}", broken
     if seen := selection.latencies.get(chosen.candidate):
         loud = f"; {100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
-        loud += "quiet machine"
-        said["Latency"] = (
-            f"median {significant(1e3 * seen['median'])} ms, 99th percentile "
-            f"{significant(1e3 * seen['p99'])} ms, BLAS on one thread"
-            f"{loud if seen['busy'] > DISTURBED else ''}"
+        loud = f"{loud}quiet machine" if seen["busy"] > 0.1 else ""
+        yield (
+            "Latency",
+            (
+                f"median {significant(1e3 * seen['median'])} ms, 99th percentile "
+                f"{significant(1e3 * seen['p99'])} ms, BLAS on one thread{loud}"
+            ),
         )
     if check is not None:
-        value = f"{scored(check.score, check.between)} on {check.units} {kind}, regret "
         against = f"{criterion.say(check.regret.effect)} against {check.hindsight}"
-        broken = "".join(f"; broken: {each.words}" for each in check.broken)
-        said["Fresh seeds"] = f"{value}{'none' if check.regret.identical else against}{broken}"
-    return [f"{name}: {text}." for name, text in said.items()]
+        value = f"{scored(check.score, check.between)} on {check.units} {kind}, regret "
+        value += "none" if check.regret.identical else against
+        yield "Fresh seeds", value + "".join(f"; broken: {each.words}" for each in check.broken)
 
 
-def _binding(selection: Selection) -> Iterator[str]:
-    """Give, for each constraint, how many it refuses and who comes closest."""
-    every = [(breach, each) for each in selection.ranked for breach in each.breaches]
-    for name, refused in Counter(breach.constraint for breach, _ in every).most_common():
-        breach, nearest = min((pair for pair in every if pair[0].constraint == name),
-                              key=lambda pair: pair[0].value)  # fmt: skip
-        yield f"{name}: refuses {refused}; the closest is {nearest.title}, {breach.words}."
-
-
-def verdict(selection: Selection, each: Scored) -> str:
+def verdict(selection: Selection, each: Any) -> str:
     """Return why a candidate was chosen, or lost."""
     apart = each.apart
     if each is selection.chosen:
@@ -136,10 +131,11 @@ def verdict(selection: Selection, each: Scored) -> str:
 
 def tables(selection: Selection) -> dict[str, Table]:
     """Return the tables of candidates, of regimes, and where it was measured of latency."""
-    criterion, chosen, study = selection.criterion, selection.chosen, selection.study
+    criterion, study = selection.criterion, selection.study
     unit, least = criterion.measure.unit, criterion.measure.least
+    score: dict[str, Any] = {"unit": unit, "least": least}
     candidates, regimes, times = list[Row](), list[Row](), list[Row]()
-    for each in sorted(selection.ranked, key=lambda each: each is not chosen):
+    for each in sorted(selection.ranked, key=lambda each: each is not selection.chosen):
         apart, said = each.apart, verdict(selection, each)
         candidates.append((
             str(len(candidates) + 1), each.title, said, each.evaluate, *each.between, each.validate,
@@ -152,36 +148,31 @@ def tables(selection: Selection) -> dict[str, Table]:
                           100.0 * seen["busy"]))  # fmt: skip
     candidates += [("–", title, f"not on board: {why}", *(None,) * 8)
                    for title, why in selection.refused.items()]  # fmt: skip
-    score = [Column(name, unit, group="evaluate", least=least)
-             for name in ("criterion", "from", "to")]  # fmt: skip
-    against = [Column(name, unit, group="validate") for name in ("worse by", "from", "to")]
-    timed = (("median", "ms", ""), ("99th percentile", "ms", ""), ("peak memory", "MB", ".0f"),
-             ("disturbed", "%", ".0f"))  # fmt: skip
-    notes = (
-        f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the chosen. "
-        "Intervals (95 %) and the probability to be the best are by bootstrap over the same "
-        "flights for all.",
-        "One flight at a time in a process of its own with BLAS on one thread, after a warm-up. "
-        "Disturbed: flights during which other programs had the core.",
+    heads = (
+        *map(Column, ("rank", "candidate", "verdict")),
+        *(Column(name, group="evaluate", **score) for name in ("criterion", "from", "to")),
+        Column("criterion", group="validate", **score),
+        *(Column(name, unit, group="validate") for name in ("worse by", "from", "to")),
+        Column("best", "%", ".0f", "validate"),
     )
+    latency = (("median", "ms", ""), ("99th percentile", "ms", ""), ("peak memory", "MB", ".0f"),
+               ("disturbed", "%", ".0f"))  # fmt: skip
     made = {
-        "selection": Table(
-            f"Candidates of the selection ({study})",
-            (*map(Column, ("rank", "candidate", "verdict")), *score,
-             Column("criterion", unit, group="validate", least=least), *against,
-             Column("best", "%", ".0f", "validate")),
-            candidates, notes[:1],
-        ),
-        "regimes": Table(
-            f"Regimes ({study})",
-            (*map(Column, ("candidate", "verdict")),
-             *(Column(name, unit, least=least) for name in (*criterion.regimes, "all"))),
-            regimes,
-        ),
-        "latency": Table(
-            f"Latency and memory ({study})",
-            (Column("candidate"), *(Column(*each, varies=True) for each in timed)), times, notes[1:]
-        ),
+        "selection": Table(f"Candidates of the selection ({study})", heads, candidates, (
+            f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the "
+            "chosen. Intervals (95 %) and the probability to be the best are by bootstrap over the "
+            "same flights for all.",
+        )),
+        "regimes": Table(f"Regimes ({study})", (
+            *map(Column, ("candidate", "verdict")),
+            *(Column(name, **score) for name in (*criterion.regimes, "all")),
+        ), regimes),
+        "latency": Table(f"Latency and memory ({study})", (
+            Column("candidate"), *(Column(*each, varies=True) for each in latency),
+        ), times, (
+            "One flight at a time in a process of its own with BLAS on one thread, after a "
+            "warm-up. Disturbed: flights during which other programs had the core.",
+        )),
     }  # fmt: skip
     return {name: each for name, each in made.items() if each.rows}
 
@@ -259,7 +250,11 @@ def pareto(selection: Selection) -> Picture:
             logarithmic(axes.xaxis, *axes.xaxis.get_view_interval())
         return figure
 
-    return Picture(styled(draw), CAPTION if timed else "No candidate was timed.")
+    caption = (
+        "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
+        "percentile. Ringed: the chosen; dashed: the front of those that keep every constraint."
+    )
+    return Picture(styled(draw), caption if timed else "No candidate was timed.")
 
 
 def write_selection(

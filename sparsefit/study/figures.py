@@ -22,7 +22,7 @@ from sparsefit.plot.style import COLOURS, GREY, styled, with_unit, wrapped
 from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text
-from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers, three
+from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers
 from sparsefit.study.panels import LOG_RANGE, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
 from sparsefit.study.table import sentence
@@ -271,26 +271,6 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Figure | None]] = {
     **{"ecdf": ecdf, "scatter": scatter},
     **{"profiles": _profiles, "shapes": _shapes},
 }
-MEASURED = {name: made in (lines, ecdf) for name, made in LAYOUTS.items()}
-NAMED: Mapping[str, Options] = {
-    "scatter": {"compare": "scatter", "title": "Estimated against true, the best candidate of each "
-                "reading; points beyond the frame stand on its edge"},
-    "errors": {"compare": "ecdf", "measure": three("size"), "limits": (5.0,)},
-    "sweep": {"compare": "lines", "measure": three("error")[::-1]},
-    "methods": {"compare": "lines", "measure": ("timescale-error",),
-                "along": "flights.measurement_noise"},
-    "efficiency": {"compare": "lines", "along": "flights.process_noise",
-                   "measure": three("efficiency")[:2]},
-    "scales": {"compare": "lines", "measure": ("scales-found",)},
-    "coverage": {"compare": "lines", "along": "condition", "limits": (93.0, 97.0),
-                 "measure": three("coverage"), "notes": ("Bars: 95 % Wilson intervals.",)},
-    "profiles": {"compare": "profiles", "measure": ("ratio",), "rows": ("objective",),
-                 "columns": "accuracy", "lines": "solver", "title": "Share of problems solved in "
-                 "at most so many times the time of the fastest solver of each"},
-    "shapes": {"compare": "shapes", "measure": ("seconds",), "rows": ("objective",),
-               "along": "problem", "lines": "solver", "title": "Time to the strictest accuracy; "
-               "no point: not solved"},
-}  # fmt: skip
 
 
 def figure(study: Any, entry: str | Options) -> Figure:
@@ -312,7 +292,7 @@ def figures(
     from matplotlib.figure import Figure
 
     every: dict[str, Picture] = {}
-    for name, entry in entries.asked(study, "figure", NAMED, MEASURED, names, fitting(cases)):
+    for name, entry in entries.asked(study, "figure", LAYOUTS, names, fitting(cases)):
         if not isinstance(entry, Entry):
             made: Figure = styled(partial(entry, cases, Figure))
             every[name] = Picture(made, sentence(name.replace("_", " ")))

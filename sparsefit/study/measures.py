@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -183,38 +184,27 @@ def bounded(cases: pd.DataFrame) -> BoolArray:
     return usable
 
 
-def _signed(cases: pd.DataFrame) -> Array:
-    return only(answered(cases), parameters(cases, "est") - parameters(cases, "true"))
+def of_parameters(cases: pd.DataFrame) -> dict[str, Array]:
+    """Return columns (rows, 3) of U0, L_w and tau_w by the names of their measures.
 
-
-def _percent(cases: pd.DataFrame) -> Array:
-    return np.asarray(100.0 * _signed(cases) / parameters(cases, "true"))
-
-
-def _sizes(cases: pd.DataFrame) -> Array:
-    return np.abs(_percent(cases))
-
-
-def _covered(cases: pd.DataFrame) -> Array:
-    """Return whether 95 % intervals of flights called ok hold the truth, (rows, 3)."""
-    true, low, high = (parameters(cases, name) for name in ("true", "low", "high"))
-    has_ends = ended(cases, "ok")[:, None] & ~np.isnan(true + low + high + parameters(cases, "est"))
-    return np.where(has_ends, (low <= true) & (true <= high), np.nan)
-
-
-def _half_widths(cases: pd.DataFrame) -> Array:
-    """Return the half-widths [%] of the estimate of those intervals, (rows, 3)."""
-    estimate, low, high = (parameters(cases, name) for name in ("est", "low", "high"))
-    return np.where(np.isnan(_covered(cases)), np.nan, 50.0 * (high - low) / np.abs(estimate))
-
-
-def _bounds(cases: pd.DataFrame) -> Array:
-    share = parameters(cases, "bound") / parameters(cases, "true")
-    return only(bounded(cases), 100.0 * share)
-
-
-def _efficiencies(cases: pd.DataFrame) -> Array:
-    return only(bounded(cases), _signed(cases) / parameters(cases, "bound"))
+    Errors are of cases with an answer; coverage and half-widths of 95 % intervals, of flights
+    called ok; what is held against the Cramér-Rao bound, of flights that have one.
+    """
+    true, estimate, low, high, bound = (
+        parameters(cases, name) for name in ("true", "est", "low", "high", "bound")
+    )
+    deviation = only(answered(cases), estimate - true)
+    percent, is_bounded = 100.0 * deviation / true, bounded(cases)
+    has_ends = ended(cases, "ok")[:, None] & ~np.isnan(true + low + high + estimate)
+    return {
+        **{"deviation": deviation, "signed-error": percent},
+        **dict.fromkeys(("size", "error"), np.abs(percent)),
+        "efficiency": only(is_bounded, deviation / bound),
+        "bounded-error": only(is_bounded, percent),
+        "bound": only(is_bounded, 100.0 * bound / true),
+        "coverage": np.where(has_ends, (low <= true) & (true <= high), np.nan),
+        "half-width": np.where(has_ends, 50.0 * (high - low) / np.abs(estimate), np.nan),
+    }
 
 
 def _column(name: str, factor: float = 1.0) -> Read:
@@ -224,12 +214,6 @@ def _column(name: str, factor: float = 1.0) -> Read:
 def _timed(name: str) -> Read:
     """Return what reads a column of problems that the clock timed."""
     return lambda cases: only(numbers(cases, "repeats") > 0, numbers(cases, name))
-
-
-def _hits(cases: pd.DataFrame) -> Array:
-    """Return whether the grid scale nearest the truth was chosen, (rows,)."""
-    chosen = texts(cases, "hit").isin(["True"]).to_numpy() & answered(cases)
-    return only(in_flow(cases), chosen)
 
 
 def _by_axes(cases: pd.DataFrame, name: str) -> tuple[Array, Array]:
@@ -249,12 +233,6 @@ def _heading_errors(cases: pd.DataFrame) -> Array:
     return only(answered(cases), np.degrees(nearest))
 
 
-def _side_errors(cases: pd.DataFrame) -> Array:
-    """Return the larger |error| of the two sides of the cells [%], the shorter side first."""
-    true, estimate = map(np.sort, _by_axes(cases, "length_scale"))
-    return only(answered(cases), np.max(100.0 * np.abs(estimate / true - 1.0), axis=1))
-
-
 def _drift_errors(cases: pd.DataFrame) -> Array:
     """Return the error of the drift [% of U0]; cells that were found steady drift by 0."""
     true, estimate = _by_axes(cases, "drift")
@@ -264,21 +242,11 @@ def _drift_errors(cases: pd.DataFrame) -> Array:
     return only(answered(cases), 100.0 * missed)
 
 
-def _unseen(cases: pd.DataFrame) -> BoolArray:
-    within = numbers(cases, "scales_within_1_percent") > 0
-    return np.asarray(ended(cases, "ok") & ~within)
-
-
-def _of_each(name: str, unit: str | None, heading: str, words: str, read: Read,
-             **more: Any) -> list[Measure]:  # fmt: skip
-    """Return a measure of each of U0, L_w and tau_w, the columns (rows, 3) of `read`.
-
-    Args:
-        unit: that of the parameter where it is None.
-    """
+def _of_each(name: str, unit: str | None, heading: str, words: str, **more: Any) -> list[Measure]:
+    """Return a measure of each of U0, L_w and tau_w, in the parameter's unit where it is None."""
 
     def column(place: int) -> Read:
-        return lambda cases: read(cases)[:, place]
+        return lambda cases: of_parameters(cases)[name][:, place]
 
     return [
         Measure(f"{parameter.replace('_', '-')}-{name}", UNITS[parameter] if unit is None else unit,
@@ -295,31 +263,29 @@ def _share(name: str, heading: str, words: str, read: Callable[[pd.DataFrame], A
                    format=format, more=more)  # fmt: skip
 
 
-def _ends_as(status: str) -> Callable[[pd.DataFrame], BoolArray]:
-    return lambda cases: ended(cases, status)
-
-
 MEASURES: dict[str, Measure] = {each.name: each for each in (
     # of each parameter
-    *_of_each("error", "%", "|error|", "|error| of {}", _sizes, miss=100.0, least=TINY),
-    *_of_each("size", "%", "|error|", "|error| of {}", _sizes, least=TINY),
-    *_of_each("signed-error", "%", "signed % error", "signed % error of {}", _percent,
-              summary="mean", format="+.2f"),
-    *_of_each("deviation", None, "signed error", "signed error of {}", _signed, summary="mean",
+    *_of_each("error", "%", "|error|", "|error| of {}", miss=100.0, least=TINY),
+    *_of_each("size", "%", "|error|", "|error| of {}", least=TINY),
+    *_of_each("signed-error", "%", "signed % error", "signed % error of {}", summary="mean",
+              format="+.2f"),
+    *_of_each("deviation", None, "signed error", "signed error of {}", summary="mean",
               format="+.2f"),
     *_of_each("efficiency", "", "error/bound", "error of {} over the Cramér-Rao bound",
-              _efficiencies, summary="rms"),
-    *_of_each("bounded-error", "%", "error", "error of {} where a bound is known",
-              lambda cases: only(bounded(cases), _percent(cases)), summary="rms", least=TINY),
-    *_of_each("bound", "%", "bound", "Cramér-Rao bound of {}", _bounds, summary="rms"),
+              summary="rms"),
+    *_of_each("bounded-error", "%", "error", "error of {} where a bound is known", summary="rms",
+              least=TINY),
+    *_of_each("bound", "%", "bound", "Cramér-Rao bound of {}", summary="rms"),
     *_of_each("coverage", "%", "coverage", "95 % intervals of {}, of flights called ok, that hold "
-              "the truth", _covered, summary="share", format=".1f", more=True),
+              "the truth", summary="share", format=".1f", more=True),
     *_of_each("half-width", "%", "half-width", "half-width of the 95 % interval of {}",
-              _half_widths, least=TINY),
+              least=TINY),
     # of a flight
     Measure("largest-error", "%", "largest |error|", "largest |error| of U0, L_w and τ_w",
-            lambda cases: _sizes(cases).max(axis=1), miss=100.0, least=TINY),
-    _share("hits", "hits", "flights whose nearest grid scale was chosen", _hits, ".0f", more=True),
+            lambda cases: of_parameters(cases)["size"].max(axis=1), miss=100.0, least=TINY),
+    _share("hits", "hits", "flights whose nearest grid scale was chosen",
+           lambda cases: only(in_flow(cases), answered(cases)
+                              & (texts(cases, "hit") == "True").to_numpy()), ".0f", more=True),
     Measure("seconds", "s", "time", "time of a case", _column("seconds"), varies=True),
     Measure("certificate", "", "certificate", "certificate",
             lambda cases: only(answered(cases), numbers(cases, "certificate")), "largest",
@@ -331,13 +297,14 @@ MEASURES: dict[str, Measure] = {each.name: each for each in (
            lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), ".2f"),
     _share("misfits", "misfit", "flights called a misfit",
            lambda cases: only(in_flow(cases), ended(cases, "misfit"))),
-    _share("called-ok", "ok", "cases that ended as ok", _ends_as("ok"), more=True),
-    _share("called-misfit", "misfit", "cases that ended as misfit", _ends_as("misfit")),
-    _share("called-unidentifiable", "unidentifiable", "cases that ended as unidentifiable",
-           _ends_as("unidentifiable")),
+    *(_share(f"called-{name}", name, f"cases that ended as {name}",
+             partial(lambda name, cases: ended(cases, name), name), more=name == "ok")
+      for name in ("ok", "misfit", "unidentifiable")),
     Measure("r-squared", "", "R²", "R² of the fit", _column("r_squared"), format=".4f", more=True),
     Measure("heading-error", "°", "heading", "|error| of the heading", _heading_errors, least=TINY),
-    Measure("sides-error", "%", "sides", "largest |error| of the cells' sides", _side_errors,
+    Measure("sides-error", "%", "sides", "largest |error| of the cells' sides",
+            lambda cases: only(answered(cases), np.max(100.0 * np.abs(
+                np.divide(*map(np.sort, _by_axes(cases, "length_scale")[::-1])) - 1.0), axis=1)),
             least=TINY),
     Measure("drift-error", "%", "drift", "error of the drift, of U0", _drift_errors, least=TINY),
     Measure("prediction-error", "%", "prediction", "error of the flow along other flights",
@@ -350,7 +317,8 @@ MEASURES: dict[str, Measure] = {each.name: each for each in (
             lambda cases: bounded(cases).astype(float), "number"),
     # of several scales at once
     Measure("unseen", "", "unseen", "cases called ok without all scales",
-            lambda cases: _unseen(cases).astype(float), "number"),
+            lambda cases: (ended(cases, "ok") & ~(numbers(cases, "scales_within_1_percent") > 0)
+                           ).astype(float), "number"),
     _share("scales-found", "all found", "flights with every length scale within 1 %",
            lambda cases: only(in_flow(cases),
                               np.nan_to_num(numbers(cases, "scales_within_1_percent"))),

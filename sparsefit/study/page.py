@@ -122,7 +122,7 @@ def check_outputs(study: Any) -> None:
         InputError: with the nearest name that is.
     """
     for kind, room in (("table", tables), ("figure", figures)):
-        list(asked(study, kind, room.NAMED, room.MEASURED))
+        list(asked(study, kind, room.LAYOUTS))
     if study.definition.outputs.headline:
         measure(study.definition.outputs.headline)
 

@@ -1,9 +1,9 @@
 """From a finished study to one candidate that can be defended, or to the reason why there is none.
 
-Numbers stand as arrays (candidates, units, regimes, cases). A candidate is chosen on the units of
-split `validate` and scored once on those of split `evaluate`: of all that keep every constraint in
-every regime, the first listed within the margin of the best. What the units do not tell from it is
-a tie. A regime is a condition of the study.
+Numbers stand as arrays (candidates, units, regimes, cases), candidates as rows of a frame. A
+candidate is chosen on the units of split `validate` and scored once on those of split `evaluate`:
+of all that keep every constraint in every regime, the first listed within the margin of the best.
+What the units do not tell from it is a tie. A regime is a condition of the study.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SPLITS = ("validate", "evaluate")
-AVERAGE, WORST = "average", "worst"
 LIMITS = {  # what a constraint is of, the factor to its unit, and the unit
     "max_failure": ("cases without an answer", 100.0, "%"),
     "max_silent_misses": ("silent misses", 100.0, "%"),
@@ -40,16 +39,19 @@ TIMED = {"max_latency_p99": "p99", "max_memory": "memory"}
 
 @dataclass(frozen=True)
 class Criterion:
-    """A measure summarised over the units of each regime, and over the regimes."""
+    """A measure summarised over the units of each regime, and over the regimes.
+
+    over: `average`, `worst`, or the name of a regime.
+    """
 
     measure: Measure
     regimes: tuple[str, ...]
-    over: str = AVERAGE
+    over: str
 
     @property
     def words(self) -> str:
         """`mean |error| of τ_w, averaged over the regimes`."""
-        where = {AVERAGE: "averaged over the regimes", WORST: "in the worst regime"}
+        where = {"average": "averaged over the regimes", "worst": "in the worst regime"}
         over = f", {where.get(self.over, f'in {self.over}')}"
         return self.measure.phrase + over * (len(self.regimes) > 1)
 
@@ -65,9 +67,9 @@ class Criterion:
     def loss(self, grid: Array) -> Array:
         """Return the one number (...,) of a grid (..., units, regimes, cases), less is better."""
         losses = self.sign * self.by_regime(grid)
-        if self.over == AVERAGE:
+        if self.over == "average":
             return mean(losses)
-        if self.over == WORST:
+        if self.over == "worst":
             return np.asarray(np.fmax.reduce(losses, axis=-1))  # passes over NaN
         return np.asarray(losses[..., self.regimes.index(self.over)])
 
@@ -182,20 +184,17 @@ class Trials:
         def by_regime(values: Array) -> Array:
             return pooled_regimes(self.grid(values))
 
-        failed = measures.only(flown, ~measures.answered(cases))
         silent = error = np.zeros(len(cases))
         if "est_mean_velocity" in cases:
             missed = np.where(flown, measures.off(cases), measures.in_still_air(cases))
             silent = (missed & measures.ended(cases, "ok")).astype(float)
             error = measures.MEASURES["largest-error"].read(cases)
-        largest, is_flown = (
-            resampling.quantile(by_regime(error), 0.95),
-            by_regime(flown.astype(float)) > 0,
-        )
+        largest = resampling.quantile(by_regime(error), 0.95)
+        is_flown = (by_regime(flown.astype(float)) > 0).any(axis=-1)
         values = {
-            "max_failure": mean(by_regime(failed)),
+            "max_failure": mean(by_regime(measures.only(flown, ~measures.answered(cases)))),
             "max_silent_misses": mean(by_regime(silent)),
-            "max_error": np.where(np.isnan(largest) & is_flown.any(axis=-1), np.inf, largest),
+            "max_error": np.where(np.isnan(largest) & is_flown, np.inf, largest),
         }
         for name, column in TIMED.items():
             times = [timed.get(each, {}).get(column, math.inf) for each in self.candidates]
@@ -203,67 +202,50 @@ class Trials:
         every: list[list[Breach]] = [[] for _ in self.candidates]
         for name, levels in values.items():
             limit = getattr(rule, name)
-            for broken, own in zip(every, levels, strict=True):
-                place = int(np.where(np.isnan(own), -np.inf, own).argmax())
-                worst, unknown = float(own[place]), name in TIMED and np.isinf(own[place])
+            for broken, own in zip(every, np.nan_to_num(levels, nan=-np.inf, posinf=np.inf),
+                                   strict=True):  # fmt: skip
+                place = int(own.argmax())
+                is_untimed = name in TIMED and np.isinf(own[place])
                 is_broken = any(breach.constraint not in TIMED for breach in broken)
-                if limit is not None and worst > limit and not (unknown and is_broken):
+                if limit is not None and own[place] > limit and not (is_untimed and is_broken):
                     where = self.criterion.regimes[place] if len(own) > 1 else ""
-                    broken.append(Breach(name, where, worst, limit))
+                    broken.append(Breach(name, where, float(own[place]), limit))
         return [tuple(broken) for broken in every]
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
-    """A candidate with all that speaks for it and against it.
-
-    validate, evaluate: the criterion on either split, `between` its 95 % interval on evaluate,
-    by_regime (regimes,) there; breaches: what it does not keep on validate, broken: on evaluate.
-    best: the probability over drawn units of validate that it is the best of those that keep
-    everything; apart: its loss less that of the chosen on validate; within: the margin.
-    """
-
-    candidate: str
-    title: str
-    validate: float
-    evaluate: float
-    between: tuple[float, float]
-    by_regime: Array
-    breaches: tuple[Breach, ...]
-    broken: tuple[Breach, ...]
-    best: float
-    apart: Difference | None
-    within: bool
-
-
-@dataclass(frozen=True, eq=False)
 class Selection:
-    """The choice by a rule, and every candidate with its evidence, the best first.
+    """The choice by a rule, and every candidate with its evidence.
 
-    chosen: None where no candidate keeps the constraints; regret: how much worse the chosen is on
-    evaluate than `hindsight`, the best there of those that keep the constraints on validate.
+    ranked: a row a candidate, the best first: `candidate`, `title`, `reading` and `label` in words;
+    `validate` and `evaluate`, the criterion on either split, `low` and `high` its 95 % interval on
+    evaluate, `by_regime` (regimes,) there; `breaches`, what it does not keep on validate, `broken`
+    on evaluate; `best`, the probability over drawn units of validate that it is the best of those
+    that keep everything; `apart`, its loss less that of the chosen there; `within`, the margin.
+    chosen: a row; None where no candidate keeps the constraints. regret: how much worse the chosen
+    is on evaluate than `hindsight`, the best there of those that keep the constraints on validate.
     latencies: a row of the latency frame by candidate; refused: why others cannot be on board.
     """
 
     study: str
     rule: Any
     criterion: Criterion
-    ranked: tuple[Scored, ...]
-    chosen: Scored | None
+    ranked: tuple[Any, ...]
+    chosen: Any
     regret: Difference | None
-    hindsight: Scored | None
+    hindsight: Any
     units: Mapping[str, int]
     latencies: Mapping[str, Mapping[str, float]]
     refused: Mapping[str, str]
     cases: pd.DataFrame = field(repr=False)
 
     @property
-    def passing(self) -> list[Scored]:
+    def passing(self) -> list[Any]:
         """The candidates that keep every constraint, the best first."""
         return [each for each in self.ranked if not each.breaches]
 
     @property
-    def tied(self) -> list[Scored]:
+    def tied(self) -> list[Any]:
         """Those that keep everything and that the validate units do not tell from the chosen."""
         return [each for each in self.passing if each.apart is not None and each.apart.tie]
 
@@ -276,18 +258,6 @@ class Selection:
     def kind(self) -> str:
         """The noun of a unit, `flights` or `problems`."""
         return "problems" if "objective" in self.cases else "flights"
-
-    @property
-    def parts(self) -> dict[str, tuple[str, str]]:
-        """The reading with its factors, and the back-end, of each candidate in words."""
-        of_units = ("flights.", "problems.")
-        own, parts = [name for name in factors(self.cases) if not name.startswith(of_units)], {}
-        for row in self.cases.drop_duplicates("candidate").to_dict("records"):
-            levels = (f"{factor_words(n)} none" if row[n] == "none" else str(row[n]) for n in own)
-            words = [str(row.get("reading", row.get("protocol", ""))), *levels]
-            reading = ", ".join(part for part in words if part and part != "default")
-            parts[str(row["candidate"])] = (reading, str(row.get("label") or row["backend"]))
-        return parts
 
 
 @dataclass(frozen=True)
@@ -341,8 +311,8 @@ def select(
     latencies = study.latencies if latencies is None else latencies
     timed = {name: asdict(seen) for name, seen in latencies.items()}
     splits = [name for name in SPLITS if (cases["split"] == name).any()] or ["all"]
-    candidates = list(map(str, cases["candidate"].unique()))
-    every = [Trials(cases[cases["split"] == name], candidates, criterion, place)
+    frame = _in_words(cases)
+    every = [Trials(cases[cases["split"] == name], list(frame["candidate"]), criterion, place)
              for place, name in enumerate(splits)]  # fmt: skip
     first, last = every[0], every[-1]
     breaches, broken = (each.breaches(rule, timed) for each in (first, last))
@@ -355,27 +325,41 @@ def select(
     shares = np.zeros(len(order))
     if passing:
         shares[passing] = resampling.best_probabilities(first.drawn[passing])
-    titles = dict(zip(cases["candidate"], cases["title"], strict=True))
-    scored = [
-        Scored(
-            name, str(titles[name]), first.score(at)[0], *last.score(at),
-            criterion.by_regime(last.values[at]), breaches[at], broken[at], float(shares[at]),
-            None if chosen is None or chosen == at else first.against(at, chosen), at in within,
-        )
-        for at, name in enumerate(candidates)
-    ]  # fmt: skip
+    places = range(len(order))
+    values: dict[str, Any] = {
+        "validate": criterion.sign * first.loss, "evaluate": criterion.sign * last.loss,
+        "between": [last.score(at)[1] for at in places],
+        "by_regime": list(criterion.by_regime(last.values)),
+        "breaches": breaches, "broken": broken, "best": shares,
+        "within": [at in within for at in places],
+        "apart": [None if chosen in (None, at) else first.against(at, chosen) for at in places],
+    }  # fmt: skip
+    rows = list(frame.assign(**values).itertuples(name="Candidate"))
     hindsight = min(passing, default=None, key=lambda at: (float(last.loss[at]), at != chosen))
-    regret = None
-    if chosen is not None and hindsight is not None:
-        regret = last.against(chosen, hindsight)
     return Selection(
         study=study.name, rule=rule, criterion=criterion,
-        ranked=tuple(scored[at] for at in (*passing, *(at for at in order if at not in passing))),
-        chosen=None if chosen is None else scored[chosen],
-        regret=regret, hindsight=None if hindsight is None else scored[hindsight],
+        ranked=tuple(rows[at] for at in (*passing, *(at for at in order if at not in passing))),
+        chosen=None if chosen is None else rows[chosen],
+        regret=None if chosen is None or hindsight is None else last.against(chosen, hindsight),
+        hindsight=None if hindsight is None else rows[hindsight],
         units={name: each.shape[1] for name, each in zip(splits, every, strict=True)},
         latencies=timed, refused=refused, cases=cases,
     )  # fmt: skip
+
+
+def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
+    """Return `candidate`, `title`, the reading with its factors, and the back-end's `label`."""
+    import pandas as pd
+
+    of_units = ("flights.", "problems.")
+    own, rows = [name for name in factors(cases) if not name.startswith(of_units)], []
+    for row in cases.drop_duplicates("candidate").to_dict("records"):
+        levels = (f"{factor_words(n)} none" if row[n] == "none" else str(row[n]) for n in own)
+        words = [str(row.get("reading", row.get("protocol", ""))), *levels]
+        reading = ", ".join(part for part in words if part and part != "default")
+        label = str(row.get("label") or row["backend"])
+        rows.append((str(row["candidate"]), str(row["title"]), reading, label))
+    return pd.DataFrame(rows, columns=["candidate", "title", "reading", "label"])
 
 
 def check_rule(study: Any) -> None:
@@ -399,7 +383,7 @@ def regimes_of(cases: pd.DataFrame) -> pd.Series:
 def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     """Return the measure of a rule over the regimes of the cases."""
     regimes = tuple(regimes_of(cases).unique())
-    one_of("regime in over =", rule.over, (AVERAGE, WORST, *regimes))
+    one_of("regime in over =", rule.over, ("average", "worst", *regimes))
     summary, name = rule.measure
     with told_with("criterion ="):
         return Criterion(measures.measure(f"{summary or 'mean'} {name}"), regimes, rule.over)

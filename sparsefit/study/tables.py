@@ -2,9 +2,9 @@
 
 Every table is one group-by: columns of the frame tell its rows apart, and each of its columns is a
 measure of the cases of a row, summarised. Layouts differ in the measures that they make: one per
-level of a factor (`protocols`), per limit (`profiles`), per status and truth (`status`), per
-parameter (`coverage`). An entry of [outputs] is the name of a shipped table, of a function of the
-study's script, or a mapping of the fields of `Entry`.
+level of a factor (`protocols`), per status and truth (`status`), per parameter (`coverage`). An
+entry of [outputs] is the name of a table of outputs.toml, of a function of the study's script, or a
+mapping of the fields of `Entry`.
 """
 
 from __future__ import annotations
@@ -27,10 +27,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ROWS = ("condition", "title")
-INTERVALS = (
-    f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole flights; a share of single cases: "
-    "Wilson's."
-)
 
 
 class Part(NamedTuple):
@@ -40,8 +36,8 @@ class Part(NamedTuple):
     """
 
     column: Column
-    each: Measure
     values: Array
+    each: Measure = MEASURES["seconds"]
     interval: bool = False
 
 
@@ -69,7 +65,7 @@ def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
 
 def _counted(name: str, mask: BoolArray, group: str = "") -> Part:
     """Return the column of the number of cases where a mask (rows,) holds."""
-    return Part(Column(name, format="d", group=group), MEASURES["bounded"], mask.astype(float))
+    return Part(Column(name, format="d", group=group), mask.astype(float), MEASURES["bounded"])
 
 
 def _counts(cases: pd.DataFrame) -> list[Part]:
@@ -116,14 +112,16 @@ def summarised(
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group: planned, answered, and each measure, with its interval if asked."""
     parts = [
-        Part(column_of(each), each, each.values(cases), entry.interval and each.summary != "number")
+        Part(column_of(each), each.values(cases), each, entry.interval and each.summary != "number")
         for each in entry.measures
     ]
     notes = dict.fromkeys(sentence(f"{each.phrase}: {each.convention}")
                           for each in entry.measures if each.miss is not None)  # fmt: skip
+    if entry.interval:
+        drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole flights"
+        notes[f"{drawn}; a share of single cases: Wilson's."] = None
     title = entry.name.replace("-", " ").capitalize() or "Measures"
-    return summarised(entry, cases, title, [*_counts(cases), *parts], (),
-                      (*notes, *([INTERVALS] if entry.interval else [])))  # fmt: skip
+    return summarised(entry, cases, title, [*_counts(cases), *parts], (), tuple(notes))
 
 
 def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -138,8 +136,8 @@ def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
     rows = entry.rows or [name for name in others if cases[name].nunique() > 1] or ["title"]
     values = each.values(cases)
     parts = [
-        Part(replace(column_of(each), name=level, group=words), each,
-             measures.only((levels == level).to_numpy(), values))
+        Part(replace(column_of(each), name=level, group=words),
+             measures.only((levels == level).to_numpy(), values), each)
         for level in levels.cat.categories
     ]  # fmt: skip
     title = f"{sentence(each.phrase)[:-1]} along {words}"
@@ -170,17 +168,15 @@ def status(entry: Entry, cases: pd.DataFrame) -> Table:
 
 def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return the share of 95 % intervals that hold the truth, a row per group and parameter."""
-    covered, halves = (
-        np.column_stack([MEASURES[name].values(cases) for name in three(kind)]).ravel()
-        for kind in ("coverage", "half-width")
-    )
+    shares = measures.of_parameters(cases)
+    covered, halves = shares["coverage"].ravel(), shares["half-width"].ravel()
     names = [*name_columns(cases, entry.rows or ROWS), "parameter"]
     each = cases.iloc[np.repeat(np.arange(len(cases)), 3)]
     each = each.assign(parameter=np.tile(list(SYMBOLS.values()), len(cases)))
     parts = [
         *_counts(each)[:2], _counted("with interval", ~np.isnan(covered)),
-        Part(Column("coverage", "%", ".1f"), MEASURES["hits"], covered, interval=True),
-        Part(Column("half-width", "%"), MEASURES["seconds"], halves),
+        Part(Column("coverage", "%", ".1f"), covered, MEASURES["hits"], interval=True),
+        Part(Column("half-width", "%"), halves),
     ]  # fmt: skip
     note = (
         "Share of the flights called ok whose 95 % interval holds the truth, with its own 95 % "
@@ -193,29 +189,14 @@ def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
 def single(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return status, truth, estimate and percentage error of every case."""
     parts = [
-        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), MEASURES["seconds"],
-             numbers(cases, f"{prefix}_{name}"))
+        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), numbers(cases, f"{prefix}_{name}"))
         for group, prefix in (("true", "true"), ("estimated", "est")) for name in PARAMETERS
     ]  # fmt: skip
-    for parameter, name in zip(PARAMETERS, three("signed-error"), strict=True):
-        column = Column(SYMBOLS[parameter], "%", "+.2f", "error")
-        parts.append(Part(column, MEASURES[name], MEASURES[name].values(cases)))
+    errors = measures.of_parameters(cases)["signed-error"]
+    parts += [Part(Column(SYMBOLS[name], "%", "+.2f", "error"), error)
+              for name, error in zip(PARAMETERS, errors.T, strict=True)]  # fmt: skip
     names = [*name_columns(cases, entry.rows or ("flight", *ROWS)), "status"]
     return summarised(entry, cases, "True and estimated flow parameters", parts, names)
-
-
-def profiles(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return the share of planned cases within each limit; a failure is within none."""
-    each, share, flown = entry.measures[0], MEASURES["answered"], measures.in_flow(cases)
-    sizes = np.abs(each.read(cases))
-    parts = [
-        Part(Column(f"≤ {limit:g} {each.unit}".strip(), "%", ".1f"), share,
-             measures.only(flown, sizes <= limit), interval=True)
-        for limit in entry.limits or (0.1, 1.0, 5.0, 20.0)
-    ]  # fmt: skip
-    title = f"Share of cases within so much: {each.words}"
-    return summarised(entry, cases, title, [_counts(cases)[0], *parts], (),
-                      ("Failures are within no limit.", INTERVALS))  # fmt: skip
 
 
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
@@ -224,62 +205,10 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
     "status": status,
     "coverage": coverage,
     "parameters": single,
-    "profiles": profiles,
     "solvers": lambda entry, cases: solver_times.summary(cases),
     "winners": lambda entry, cases: solver_times.winners(cases),
     "failed": lambda entry, cases: solver_times.failures(cases),
 }
-MEASURED = {name: name in ("settings", "protocols", "profiles") for name in LAYOUTS}
-FAILED = "Errors are over the cases with an estimate; failures are counted beside them."
-NAMED: Mapping[str, Options] = {
-    "prediction": {"title": "What is predicted and recovered", "rows": ("title",), "measure": (
-        "holdout-error", "support", "precision", "recall", "f1", "stability")},
-    "solvers": {"compare": "solvers"},
-    "winners": {"compare": "winners"},
-    "parameters": {"compare": "parameters"},
-    "summary": {"title": "Summary", "measure": (
-        "answered", "median mean-velocity-size", "median length-scale-size",
-        "95th percentile largest-error", "silent-misses", "length-scale-coverage",
-        "median seconds", "largest certificate")},
-    "status": {"compare": "status"},
-    "errors-absolute": {
-        "title": "Sizes of the percentage errors",
-        "measure": (*(f"{summary} {name}" for summary in ("mean", "median", "95th percentile")
-                      for name in three("size")), "hits"),
-        "notes": (FAILED,),
-    },
-    "errors": {
-        "title": "Signed mean errors, the paper's form",
-        "measure": (*three("deviation"), *three("signed-error"), "hits"),
-        "notes": (FAILED, "Errors of opposite sign cancel."),
-    },
-    "methods": {"compare": "protocols", "measure": ("timescale-error",),
-                "along": "flights.measurement_noise"},
-    "efficiency": {
-        "title": "Errors against the Cramér-Rao bound",
-        "measure": ("bounded", *three("bounded-error"), *three("bound"), *three("efficiency")),
-        "notes": ("Rms over the flights called ok that have a bound; 1 is the limit.",),
-    },
-    "coverage": {"compare": "coverage"},
-    "scales": {
-        "title": "Several scales at once",
-        "measure": ("scales-found", "scales-missed", "scales-spurious",
-                    "scales-length-scale-error", "scales-mean-velocity-error", "unseen"),
-    },
-    "profiles": {"compare": "profiles", "measure": ("timescale-error",)},
-    "times": {
-        "title": "Times and certificates",
-        "measure": ("median seconds", "95th percentile seconds", "largest certificate"),
-    },
-    "failed": {"compare": "failed"},
-    "clock": {
-        "title": "The clock", "rows": ("solver",),
-        "measure": ("first-call", "peak-memory", "median repeats", "median-known", "disturbed",
-                    "cores"),
-        "notes": ("First call: imports and compilation, in no other time. CPU / wall above 1: "
-                  "threads.",),
-    },
-}  # fmt: skip
 
 
 def fitting(cases: pd.DataFrame) -> list[str]:
@@ -317,7 +246,7 @@ def tables(
     import pandas as pd
 
     outputs, every = study.definition.outputs, dict[str, Table]()
-    for name, entry in entries.asked(study, "table", NAMED, MEASURED, names, fitting(cases)):
+    for name, entry in entries.asked(study, "table", LAYOUTS, names, fitting(cases)):
         if not isinstance(entry, Entry):
             made = entry(cases, pd.DataFrame, Table)
             made = made if isinstance(made, Table) else Table.of(made)

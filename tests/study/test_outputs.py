@@ -69,12 +69,7 @@ class TestTables:
         assert told == {"title": "lasso", "n": 5, "ok ≤ 5 %": 1, "ok off": 1, "ok no flow": 1,
                         "misfit ≤ 5 %": 1, "error all": 1}  # fmt: skip
 
-    def test_profiles_and_coverage(self):
-        cases = frame(*(case(n, (0.0, size)) for n, size in enumerate((0.5, 1.0, 2.0))),
-                      case(3, None, status="error"))  # fmt: skip
-        entry = {"name": "profiles", "measure": ["length-scale-size"], "limits": [0.7, 99.0]}
-        (row,) = made(entry, cases).rows
-        assert row[2:] == pytest.approx((25.0, 4.56, 69.94, 75.0, 30.06, 95.44), abs=0.01)
+    def test_coverage(self):
         ends = {"low_length_scale": 4.9, "high_length_scale": 5.1}
         (row,) = made("coverage", frame(case(0, **ends), case(1, **ends))).rows
         assert row[1:6] == ("L_w", 2, 2, 2, 100.0)

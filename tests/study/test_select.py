@@ -155,7 +155,12 @@ class TestConstraints:
         assert chosen(made, max_error=5.0).chosen is None
 
     def test_what_was_not_timed_keeps_no_limit_of_time(self):
-        assert chosen(self.made, max_memory=100.0).chosen is None
+        selection = chosen(self.made, max_memory=100.0, max_failure=0.1)
+        assert selection.chosen is None
+        words = {each.title: [breach.words for breach in each.breaches]
+                 for each in selection.ranked}  # fmt: skip
+        assert words["lasso"] == ["peak memory not measured, 100 MB is the most"]
+        assert len(words["stlsq"]) == 1  # what fails on flights need not be timed
 
     def test_what_cannot_be_on_board_is_not_chosen(self):
         selection = chosen(self.made, refusals={"lasso": "its search needs the whole flight"})
