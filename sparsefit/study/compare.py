@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import grouped, level_text
 from sparsefit.study.measures import factors, measure, numbers
-from sparsefit.study.resampling import by_unit, difference, pooled
+from sparsefit.study.resampling import by_unit, interval, pooled
 from sparsefit.study.table import Table, significant
 
 
@@ -28,51 +28,52 @@ from sparsefit.study.table import Table, significant
 class Comparison:
     """The cases that both runs have, row by row, and how many only one has.
 
-    change: (rows,) the largest relative change of U0, L_w and tau_w, infinite where one run has no
-    number; of problems that of the time on the wall. restated: whether the status is another;
-    changed: whether anything is that should not be; lost: whether an answer is no more.
+    cases: `change`, the largest relative change of U0, L_w and tau_w, infinite where one run has no
+    number, of problems that of the time on the wall; `in status`, whether the status is another;
+    `changed`, whether anything is that should not be; `lost`, whether an answer is no more.
     """
 
     names: tuple[str, str]
-    change: Array
-    restated: BoolArray
-    changed: BoolArray
+    cases: pd.DataFrame
     only: tuple[int, int]
-    lost: bool
     tables: dict[str, Table]
 
     @property
     def differs(self) -> bool:
         """Whether a case changed, or is in one run alone."""
-        return bool(self.changed.any()) or any(self.only)
+        return bool(self.cases["changed"].any()) or any(self.only)
 
     @property
     def worse(self) -> bool:
         """Whether a case lost its answer, or a setting or solver is worse beyond its interval."""
-        return self.lost or "worse" in set(self.tables["effects"].frame["verdict"])
+        verdicts = self.tables["effects"].frame["verdict"]
+        return bool(self.cases["lost"].any()) or "worse" in set(verdicts)
 
     @property
     def sentence(self) -> str:
         """The numbers of changed cases and the largest change, in a sentence."""
-        pairs = zip(self.only, self.names, strict=True)
-        said = f"{self.changed.sum()} of {len(self.change)} cases changed, "
-        said += f"{self.restated.sum()} of them in status; the largest change is "
-        said += f"{significant(_largest(self.change))} %"
-        only = [f"{count} only in {name}" for count, name in pairs if count]
-        return f"{'; '.join([said, *only])}."
+        only = (f"; {count} only in {name}"
+                for count, name in zip(self.only, self.names, strict=True) if count)  # fmt: skip
+        return (
+            f"{self.cases['changed'].sum()} of {len(self.cases)} cases changed, "
+            f"{self.cases['in status'].sum()} of them in status; the largest change is "
+            f"{significant(_largest(self.cases))} %{''.join(only)}."
+        )
 
     def record(self) -> dict[str, Any]:
         """Return the comparison as JSON has it."""
         return {
-            "summary": self.sentence, "cases": len(self.change),
-            "changed": int(self.changed.sum()), "restated": int(self.restated.sum()),
+            "summary": self.sentence, "cases": len(self.cases),
+            "changed": int(self.cases["changed"].sum()),
+            "restated": int(self.cases["in status"].sum()),
             "only": list(self.only), "worse": self.worse,
             "tables": {name: each.record() for name, each in self.tables.items()},
         }  # fmt: skip
 
 
-def _largest(change: Array) -> float:
-    """Return the largest finite change of (n,), in percent."""
+def _largest(cases: pd.DataFrame) -> float:
+    """Return the largest finite change, in percent."""
+    change = cases["change"].to_numpy()
     return 100.0 * float(change[np.isfinite(change)].max(initial=0.0))
 
 
@@ -109,59 +110,54 @@ def compare(
     moved, gone = np.abs(pair[0] - pair[1]) / size, np.isnan(pair)
     moved[gone.any(axis=0)] = np.inf
     moved[gone.all(axis=0)] = 0.0
-    change = moved.max(axis=0)
     before, after = (side["status"].to_numpy() for side in sides)
-    restated = np.asarray(before != after)
-    changed = restated if of_problems else restated | (change > tolerance)
-    worse = ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0)
+    cases = pd.DataFrame({"in status": before != after, "change": moved.max(axis=0)})
+    limit = np.inf if of_problems else tolerance  # no time is like another
+    cases["changed"] = cases["in status"] | (cases["change"] > limit)
+    cases["lost"] = ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0)
     label = "solver" if of_problems else "label"
     changes = pd.DataFrame({
         "case": sides[0]["case_id"], label: sides[0][label], f"status in {names[0]}": before,
-        f"status in {names[1]}": after, "change [%]": 100.0 * change,
-    })[changed].sort_values("change [%]", ascending=False, kind="stable")  # fmt: skip
+        f"status in {names[1]}": after, "change [%]": 100.0 * cases["change"],
+    })[cases["changed"]].sort_values("change [%]", ascending=False, kind="stable")  # fmt: skip
     changes.attrs["title"] = "Cases that changed"
-    marks = pd.DataFrame({"changed": changed, "in status": restated, "change": change})
-    effects = _effects(sides, marks)
+    effects = _effects(sides, cases)
     effects.attrs["title"] = "What changed, and whether for the worse"
     note = f"First: {names[0]}; second: {names[1]}. From, to: 95 %, by bootstrap over units."
     effects.attrs["notes"] = (note,)
-    return Comparison(
-        names, change, restated, changed, (len(first) - len(shared), len(second) - len(shared)),
-        bool(worse.any()), {"effects": Table.of(effects), "changes": Table.of(changes)},
-    )  # fmt: skip
+    made = {"effects": Table.of(effects), "changes": Table.of(changes)}
+    return Comparison(names, cases, (len(first) - len(shared), len(second) - len(shared)), made)
 
 
-def _effects(sides: list[pd.DataFrame], marks: pd.DataFrame) -> pd.DataFrame:
-    """Return what changed in every setting, or solver, and whether its measure did.
-
-    Args:
-        marks: `changed`, `in status` and the relative `change` of every case.
-    """
+def _effects(sides: list[pd.DataFrame], cases: pd.DataFrame) -> pd.DataFrame:
+    """Return what changed in every setting, or solver, and whether its measure did."""
     of_problems, first = "objective" in sides[0], sides[0]
     each = measure("mean wall" if of_problems else "mean timescale-error")
     columns = ["objective", "solver"] if of_problems else [
         "protocol", "label", *factors(first), "backend", "settings"]  # fmt: skip
     values = [np.log(numbers(side, "wall")) if of_problems else each.values(side)
-              for side in reversed(sides)]  # fmt: skip
+              for side in sides]  # fmt: skip
     words = "time, second / first" if of_problems else "mean |error| of τ_w, second − first [%]"
+
+    def apart(grid: Array) -> Array:
+        """Return the measure of the second less that of the first, of (..., units, cases, 2)."""
+        return pooled(each.reduce)(grid[..., 1]) - pooled(each.reduce)(grid[..., 0])
+
     rows: list[dict[str, object]] = []
     for key, places in grouped(first, columns):
-        flights, here = first["flight"].iloc[places], marks.iloc[places]
-        order = pd.Index(flights.unique())
-        apart = difference(
-            pooled(each.reduce), *(by_unit(value[places], flights, order) for value in values)
-        )
+        here, units = cases.iloc[places], first["flight"].iloc[places]
+        grid = np.stack([by_unit(value[places], units) for value in values], axis=-1)
+        ends = np.array([apart(grid), *interval(apart, grid)])
+        ends[np.abs(ends) < each.least] = 0.0
         names = list(map(level_text, key))
         if not of_problems:
             names = [", ".join(names[:-2]), names[-1]]
-        ends = np.array([apart.effect, apart.low, apart.high])
-        ends[np.abs(ends) < each.least] = 0.0
         shown = np.exp(ends) if of_problems else ends
         rows.append({
             **dict(zip(columns if of_problems else ("setting", "settings"), names, strict=True)),
             "verdict": "worse" if ends[1] > 0 else "better" if ends[2] < 0 else "tie",
             "n": len(places), **here[["changed", "in status"]].sum(),
-            "largest change [%]": _largest(here["change"].to_numpy()),
+            "largest change [%]": _largest(here),
             **dict(zip((f"{words}: effect", "from", "to"), shown.tolist(), strict=True)),
         })  # fmt: skip
     frame = pd.DataFrame(rows)

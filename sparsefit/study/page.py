@@ -40,13 +40,6 @@ from sparsefit.whole_file import write_files, write_whole
 if TYPE_CHECKING:
     import pandas as pd
 
-LARGEST_VECTOR = 1_000_000  # bytes of an SVG that is written beside its PNG
-CASE = (
-    "The track over the vorticity of the flow that was estimated, the weight of each candidate "
-    "scale, what that flow leaves of the velocity of the air, and its spectrum."
-)
-WORDS = 700  # of a README: what is longer stands in its files and on the page
-
 
 class Drawing(NamedTuple):
     """A picture of a page: its SVG, with linear axes too where some are logarithmic.
@@ -137,10 +130,9 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     if not (outputs.headline or default):
         return " ".join(solver_times.headline(cases))
     each = measure(outputs.headline or default)
-    values, column, scores = each.values(cases), tables.column_of(each), dict[str, float]()
-    for (title,), at in grouped(cases, ["title"]):
-        if not math.isnan(score := each.summary_of(values[at])):
-            scores[str(title)] = score
+    values, column = each.values(cases), tables.column_of(each)
+    every = {str(title): each.summary_of(values[at]) for (title,), at in grouped(cases, ["title"])}
+    scores = {title: value for title, value in every.items() if not math.isnan(value)}
     if not scores:
         return f"No case has a number for the {each.phrase}."
 
@@ -150,8 +142,8 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     size, said = {t: -v if each.more else abs(v) for t, v in scores.items()}, list[str]()
     for name in dict.fromkeys((min(size, key=size.__getitem__), max(size, key=size.__getitem__))):
         others = [significant(value) for value in scores.values()].count(significant(scores[name]))
-        sharers = f"{name}{f' and {others - 1} more' if others > 1 else ''}"
-        said.append(f"{text(scores[name])} ({sharers})")
+        sharers = f" and {others - 1} more" if others > 1 else ""
+        said.append(f"{text(scores[name])} ({name}{sharers})")
     count, several = cases["flight"].nunique(), cases["condition"].nunique()
     where = f"over {count} {'problem' if 'objective' in cases else 'flight'}{'s' * (count > 1)}"
     where += f" in {several} conditions" if several > 1 else ""
@@ -189,7 +181,7 @@ def picture_files(pictures: Mapping[str, Picture]) -> dict[str, bytes]:
     for name, picture in pictures.items():
         if picture.figure is not None:
             vector = encoded(picture.figure, ".svg", name)
-            if len(vector) <= LARGEST_VECTOR:
+            if len(vector) <= 1_000_000:
                 files[f"{name}.svg"] = vector
             files[f"{name}.png"] = encoded(picture.figure, ".png")
     return files
@@ -209,19 +201,19 @@ def write(study: Any) -> list[Path]:
     cases = study.cases
     made, pictures = tables.tables(study, cases), figures.figures(study, cases)
     files = {**table_files(study.name, made), **picture_files(pictures)}
-    drawings = [drawing(name, each, files.get(f"{name}.svg", b"")) for name, each in
-                pictures.items()]  # fmt: skip
-    answer, state, every = headline(study, cases), progress(study, cases), list(made.values())
-    steady = every if "objective" in cases else [each for each in every if not each.varies]
+    answer, state = headline(study, cases), progress(study, cases)
+    steady = [each for each in made.values() if "objective" in cases or not each.varies]
     sections: dict[str, Sequence[Any]] = {
         "Tables": steady,
-        "Pictures": drawings,
-        "Times": [each for each in every if each not in steady],
+        "Pictures": [drawing(name, each, files.get(f"{name}.svg", b""))
+                     for name, each in pictures.items()],
+        "Times": [each for each in made.values() if each not in steady],
         "This run": list(_run(study)),
-    }
+    }  # fmt: skip
     page = to_html(study.name, study.question, [answer], sections, state)
-    readme = _readme(study, [answer, state], made, pictures, files)
-    return write_files(study.folder, files | {"report.html": page.encode(), "README.md": readme})
+    files |= {"report.html": page.encode()}
+    files["README.md"] = _readme(study, [answer, state], made, pictures, files)
+    return write_files(study.folder, files)
 
 
 def _run(study: Any) -> Iterator[Any]:
@@ -248,19 +240,18 @@ def _readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
         caption = picture.caption.translate(MARKDOWN)
         file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
         shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
-    room = WORDS - sum(len(part.split()) for part in (*parts, *shown))
+    # What is longer stands in its files and on the page.
+    room = 700 - sum(len(part.split()) for part in (*parts, *shown))
     for name, each in made.items():
-        rows, least = min(len(each.rows), 60), min(6, len(each.rows))
-        text = each.to_markdown(rows)
-        while len(text.split()) > room and rows >= least:
-            rows -= max(1, rows // 4)
-            text = each.to_markdown(rows)
-        if each.varies or rows < least:
+        count, head = len(each.rows), len(each.to_markdown(0).split())
+        of_row = (len(each.to_markdown(count).split()) - head) / max(count, 1)
+        rows = min(count, 60, int((room - head) / max(of_row, 1.0)))
+        if each.varies or rows < min(6, count):
             linked.append(f"[{name}]({name}.csv)")
             continue
-        more = len(each.rows) - rows
-        texts.append(text + (f"\n{more} more rows: [{name}.csv]({name}.csv)\n" if more else ""))
-        room -= len(text.split()) + 5
+        more = f"\n{count - rows} more rows: [{name}.csv]({name}.csv)\n" if count > rows else ""
+        texts.append(each.to_markdown(rows) + more)
+        room -= len(texts[-1].split())
     parts += [*texts, *shown] if "prediction" in made else [*shown, *texts]
     return joined([*parts, f"More tables: {', '.join(linked)}." if linked else ""])
 
@@ -309,7 +300,11 @@ def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
         write_whole(file, encoded(figure, file.suffix.lower()))
         return made
     answer = f"{estimate.status}: {estimate.reason}".removesuffix(": ")
-    picture = drawing("case", Picture(figure, CASE))
+    caption = (
+        "The track over the vorticity of the flow that was estimated, the weight of each candidate "
+        "scale, what that flow leaves of the velocity of the air, and its spectrum."
+    )
+    picture = drawing("case", Picture(figure, caption))
     sections: dict[str, Sequence[Any]] = {"Picture": [picture], "Numbers": [made]}
     write_whole(file, to_html(study.name, name, [answer], sections))
     return made

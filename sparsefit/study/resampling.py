@@ -73,21 +73,14 @@ def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
     return np.where(count > 0, np.where(exact, first, between), np.nan)
 
 
-def by_unit(values: Array, units: pd.Series, order: pd.Index | None = None) -> Array:
-    """Return the numbers (rows,) of cases as a grid (units, cases of each).
-
-    Args:
-        units: (rows,) the unit of each case.
-        order: the units of the grid's rows, where several grids are to be paired; others are left
-            out.
-    """
+def by_unit(values: Array, units: pd.Series) -> Array:
+    """Return the numbers (rows,) of cases of units (rows,) as a grid (units, cases of each)."""
     import pandas as pd
 
-    rows = pd.Index(units.unique()) if order is None else order
-    place = rows.get_indexer(pd.Index(units))
+    place, rows = pd.factorize(units)
     within = units.groupby(units, sort=False).cumcount().to_numpy()
     grid = np.full((len(rows), int(within.max(initial=-1)) + 1), np.nan)
-    grid[place[place >= 0], within[place >= 0]] = values[place >= 0]
+    grid[place, within] = values
     return grid
 
 
@@ -149,21 +142,6 @@ class Difference:
     def tie(self) -> bool:
         """Whether the interval holds 0."""
         return not (self.low > 0.0 or self.high < 0.0)
-
-
-def difference(statistic: Statistic, first: Array, second: Array) -> Difference:
-    """Return statistic(first) - statistic(second) of two grids (units, n) of one order of units."""
-    width = max(first.shape[-1], second.shape[-1])
-    first, second = (
-        np.pad(grid, ((0, 0), (0, width - grid.shape[-1])), constant_values=np.nan)
-        for grid in (first, second)
-    )
-    effect = float(statistic(first) - statistic(second))
-    identical = bool(np.allclose(first, second, rtol=ROUNDING, atol=0.0, equal_nan=True))
-    if len(first) < 2:
-        return Difference(effect, math.nan, math.nan, identical)
-    drawn = resampled(lambda at: statistic(first[at]) - statistic(second[at]), len(first), width)
-    return Difference(effect, *ends(drawn), identical)
 
 
 def best_probabilities(losses: Array) -> Array:

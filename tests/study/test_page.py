@@ -128,7 +128,7 @@ class TestComparison:
         names = ["est_mean_velocity", "est_length_scale", "est_timescale"]
         second.loc[second.index[0], names] = math.nan
         made = compare(run(), second, ("a", "b"))
-        assert math.isinf(made.change[0])
+        assert math.isinf(made.cases["change"][0])
         assert made.worse
 
     def test_cases_of_one_run_alone_are_counted(self):

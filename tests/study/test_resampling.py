@@ -12,7 +12,6 @@ from sparsefit.study.resampling import (
     TINY,
     best_probabilities,
     by_unit,
-    difference,
     ends,
     interval,
     mean,
@@ -25,7 +24,6 @@ from sparsefit.study.resampling import (
 
 RNG = np.random.default_rng(3)
 VALUES = RNG.exponential(2.0, (4, 9))
-FIRST, SECOND = RNG.exponential(2.0, 30), RNG.exponential(2.0, 30) + 1.5
 PLAIN = {
     "mean": np.mean,
     "geometric mean": lambda row: stats.gmean(np.maximum(row, TINY)),
@@ -79,23 +77,12 @@ def test_units_drawn_in_parts_are_the_same_units(monkeypatch):
 def test_values_by_unit():
     grid = by_unit(np.array([1.0, 2.0, 3.0]), pd.Series([4, 7, 4]))
     np.testing.assert_allclose(grid, [[1.0, 3.0], [2.0, np.nan]])
-    assert by_unit(np.array([1.0, 2.0]), pd.Series([4, 7]), pd.Index([7, 4])).tolist() == [[2], [1]]
 
 
 def test_wilson_by_hand():
     low, high = wilson(0, 4)  # z^2 / (4 + z^2)
     assert (low, high) == pytest.approx((0.0, 100 * 3.8414588 / 7.8414588))
     assert wilson(9, 10) == pytest.approx((59.58, 98.21), abs=0.01)
-
-
-def test_a_difference_is_the_mean_of_paired_differences():
-    apart = FIRST - SECOND
-    made = difference(MEAN, FIRST[:, None], SECOND[:, None])
-    half = 1.96 * apart.std() / math.sqrt(30)
-    assert made.effect == pytest.approx(apart.mean())
-    assert (made.low, made.high) == pytest.approx((apart.mean() - half, apart.mean() + half),
-                                                  abs=0.15 * half)  # fmt: skip
-    assert difference(MEAN, FIRST[:, None], FIRST[:, None]).identical
 
 
 def test_probability_to_be_the_best_by_hand():
