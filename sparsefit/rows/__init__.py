@@ -1,8 +1,7 @@
 """Rows for the search: states and their derivatives, each a linear filter of the log."""
 
 from sparsefit.rows.clean import Repairs
-from sparsefit.rows.derivative import METHODS, Derivative
-from sparsefit.rows.samples import Samples
+from sparsefit.rows.derivative import METHODS, Derivative, Samples
 from sparsefit.rows.smoothing import Smoothing
 
 __all__ = ["METHODS", "Derivative", "Repairs", "Samples", "Smoothing"]

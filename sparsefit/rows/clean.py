@@ -114,25 +114,20 @@ class LogPieces:
         return replace(self, time=time, state=spline(time), starts=starts)
 
 
-def pieces_of(flight: Flight) -> LogPieces:
-    """The samples of a flight as they are, in one piece."""
-    state = np.hstack([flight.position, flight.velocity])
-    return LogPieces(flight.time, state, np.empty(0, dtype=np.intp), flight.velocity_measured)
+def pieces_of(flight: Flight, *, repair: bool, even: bool) -> tuple[LogPieces, Repairs]:
+    """The samples of a flight, as they are or made fit for a filter, and the repairs.
 
-
-def repaired(flight: Flight, *, even: bool) -> tuple[LogPieces, Repairs]:
-    """The samples of a flight made fit for a filter, and the repairs.
-
-    even: whether uneven time steps are made even.
+    even: whether a repair makes uneven time steps even; outliers are sought on even steps alone.
     """
-    log, steps = pieces_of(flight), np.diff(flight.time)
-    if steps.max() > GAP * steps.min():
-        log = replace(log, starts=np.flatnonzero(gaps_of(flight.time)) + 1)
-    longest = float(steps[log.starts - 1].max(initial=0.0))
-    repairs = Repairs(gaps=len(log.starts), longest_gap=longest)
+    state, steps = np.hstack([flight.position, flight.velocity]), np.diff(flight.time)
+    starts = np.empty(0, dtype=np.intp)
+    if repair and steps.max() > GAP * steps.min():
+        starts = np.flatnonzero(gaps_of(flight.time)) + 1
+    log = LogPieces(flight.time, state, starts, flight.velocity_measured)
+    repairs = Repairs(gaps=len(starts), longest_gap=float(steps[starts - 1].max(initial=0.0)))
+    if not repair or not (log.even or even):
+        return log, repairs
     if not log.even:
-        if not even:
-            return log, repairs
         log = log.resampled()
         repairs = replace(repairs, resampled=len(log.time))
     state = log.state.copy()
@@ -149,8 +144,10 @@ def without_outliers(values: Array, window: int = 11, degree: int = 5) -> Array:
     """Positions or velocities (m, 2) on even steps, outliers replaced; the array itself if none.
 
     The residual of a sample is that of a polynomial through the others in a window: its own weight
-    h in the fit taken out, the residual over 1 - h. Less than a hundredth of the channel's rms
-    deviation is no outlier; where they are a fifth of all, the others are no measure of them.
+    h in the fit taken out, the residual over 1 - h. An outlier is 6.5 robust standard deviations
+    off, which white noise is once in 1e6 flights, 3 times the median of the 4 on either side, and
+    a hundredth of the channel's rms deviation. Where they are a fifth of all, the others are no
+    measure of them.
     """
     if len(values) < 3 * window:
         return values
@@ -160,36 +157,31 @@ def without_outliers(values: Array, window: int = 11, degree: int = 5) -> Array:
     weight[:half, 0], weight[-half:, 0] = np.diag(hat)[:half], np.diag(hat)[half + 1 :]
     scale = np.sqrt((1.0 - weight[:, 0]) / (1.0 - hat[half, half]))
     least = 0.01 * math.sqrt(float(np.var(values, axis=0).sum()))
+    rayleigh = math.sqrt(2.0 * math.log(2.0))  # the median of a pair's length
+
+    def outlying(predicted: Array, scale: Array | float) -> BoolArray:
+        size = np.hypot(*(values - predicted).T)
+        scaled = scale * size
+        spread = max(float(np.median(scaled)) / rayleigh, 1e-300)
+        outstanding: BoolArray = (scaled > 6.5 * spread) & (size > least)
+        rows = np.flatnonzero(outstanding)
+        around = scaled[np.clip(rows - 4, 0, len(size) - 9)[:, None] + np.arange(9)]
+        outstanding[rows] = scaled[rows] > 3.0 * np.median(around, axis=1)
+        return outstanding
+
     # The first look is by medians, which neighbours that are off too do not move.
     padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
     predicted = np.median(sliding_window_view(padded, 5, axis=0), axis=-1)
-    outliers = _isolated(np.hypot(*(values - predicted).T), np.ones(len(values)), least)
-    cleaned = np.where(outliers[:, None], predicted, values)
+    outliers = outlying(predicted, 1.0)
     for _ in range(6):  # an outlier spoils the prediction of its neighbours too
+        cleaned = np.where(outliers[:, None], predicted, values)
         inner = [np.correlate(column, hat[half], "valid") for column in cleaned.T]
         ends = hat[:half] @ cleaned[:window], hat[half + 1 :] @ cleaned[-window:]
         fitted = np.vstack([ends[0], np.column_stack(inner), ends[1]])
-        predicted = (fitted - weight * cleaned) / (1.0 - weight)
-        before = outliers
-        outliers = _isolated(np.hypot(*(values - predicted).T), scale, least)
+        predicted, before = (fitted - weight * cleaned) / (1.0 - weight), outliers
+        outliers = outlying(predicted, scale)
         if not outliers.any() or outliers.mean() > 0.2:
             return values
-        cleaned = np.where(outliers[:, None], predicted, values)
         if np.array_equal(outliers, before):
             break
-    return cleaned
-
-
-def _isolated(size: Array, scale: Array, least: float) -> BoolArray:
-    """Which errors (m,) stand out from all others, and from the 4 on either side.
-
-    By 6.5 robust standard deviations, which white noise goes beyond once in 1e6 flights, and by 3
-    times the median of those around.
-    """
-    scaled, rayleigh = scale * size, math.sqrt(2.0 * math.log(2.0))  # median of a pair's length
-    spread = max(float(np.median(scaled)) / rayleigh, 1e-300)
-    outstanding: BoolArray = (scaled > 6.5 * spread) & (size > least)
-    rows = np.flatnonzero(outstanding)
-    around = scaled[np.clip(rows - 4, 0, len(size) - 9)[:, None] + np.arange(9)]
-    outstanding[rows] = scaled[rows] > 3.0 * np.median(around, axis=1)
-    return outstanding
+    return np.where(outliers[:, None], predicted, values)

@@ -20,14 +20,9 @@ from sparsefit.arrays import Array
 from sparsefit.rows.clean import LogPieces
 
 ORDER = 10  # of the polynomial; 4 doubles the error of tau_w at 0.5 m/s of noise, 8 and 10 agree
-SHORTEST, LONGEST = ORDER + 1, 1001  # samples
-GROWTH = 1.25  # from window to window
+SHORTEST = ORDER + 1  # samples of a window
 SIDE_BY_SIDE = 5  # windows in a flight: longer ones lose more at the ends than they gain
 FEWEST = SIDE_BY_SIDE * SHORTEST  # samples of a flight that can be smoothed
-# v' may be noisy, as regression averages it, but what a window takes from it is missing from U0:
-# its window is shorter. 1 costs twice the mean error of tau_w at 0.5 m/s, 0.35 to 0.6 agree.
-RATE_SHARE = 0.6
-JUDGED = 20_000  # samples, from the middle of a flight, that choose its window
 Rates = tuple[Array, Array, Array, "Smoothing"]  # time (q,), state (q, 4), rate (q, 4), the filter
 
 
@@ -96,7 +91,7 @@ def noise_level(values: Array, log: LogPieces) -> float:
 def least_risk(values: Array, sigma: float, log: LogPieces) -> int:
     """The window [samples] of least risk for columns (m, c) with white noise sigma.
 
-    Windows are odd, from `SHORTEST`, each `GROWTH` times the last, as long as they leave
+    Windows are odd, from `SHORTEST` to 1001, each 1.25 times the last, as long as they leave
     1 - 1/`SIDE_BY_SIDE` of the flight. Bias grows steeply: a few rising risks end the search.
     """
 
@@ -107,7 +102,7 @@ def least_risk(values: Array, sigma: float, log: LogPieces) -> int:
 
     reference, own = residuals(SHORTEST)  # on the same rows: what is noise there is here
     least, rising, window = (math.inf, SHORTEST), 0, SHORTEST
-    while window <= LONGEST and rising < 2:
+    while window <= 1001 and rising < 2:
         whole = log.whole(window)
         if SIDE_BY_SIDE * np.count_nonzero(whole) < (SIDE_BY_SIDE - 1) * len(values):
             break
@@ -117,12 +112,14 @@ def least_risk(values: Array, sigma: float, log: LogPieces) -> int:
         risk = float(np.mean(excess[whole])) + 2.0 * (weight - own)
         rising = 0 if risk < least[0] else rising + 1
         least = min(least, (risk, window))
-        window = max(window + 2, 2 * round(window * GROWTH / 2) + 1)
+        window = max(window + 2, 2 * round(window * 1.25 / 2) + 1)
     return least[1]
 
 
-def smooth(log: LogPieces) -> Rates:
+def smooth(log: LogPieces, judged_rows: int = 20_000) -> Rates:
     """Smooth a log on even steps by the windows of least risk, where whole windows are there.
+
+    judged_rows: samples, from the middle of the flight, that choose the windows.
 
     Returns the times (q,) [s], the states x, y, vx, vy (q, 4) [m, m/s], their rates (q, 4)
     [m/s, m/s^2] and the filter. A velocity that was not measured is the slope of the position.
@@ -130,16 +127,16 @@ def smooth(log: LogPieces) -> Rates:
     origin = log.state[:, :2].mean(axis=0)  # positions from their mean keep their digits
     channels = [log.state[:, :2] - origin, log.state[:, 2:]][: 1 + log.velocity_measured]
     levels = [noise_level(values, log) for values in channels]
-    first = max(0, (len(log.time) - JUDGED) // 2)
-    rows = slice(first, first + JUDGED)
-    starts = log.starts[(log.starts > first) & (log.starts < first + JUDGED)] - first
+    first = max(0, (len(log.time) - judged_rows) // 2)
+    rows = slice(first, first + judged_rows)
+    starts = log.starts[(log.starts > rows.start) & (log.starts < rows.stop)] - first
     judged = replace(log, time=log.time[rows], state=log.state[rows], starts=starts)
     pairs = zip(channels, levels, strict=True)
     windows = [least_risk(values[rows], level, judged) for values, level in pairs]
-    widest, shorter = (
-        max(windows),
-        [max(SHORTEST, 2 * int(RATE_SHARE * n / 2) + 1) for n in windows],
-    )
+    widest = max(windows)
+    # v' may be noisy, as regression averages it, but what a window takes from it is missing from
+    # U0: its window is shorter. 1 costs twice the mean error of tau_w at .5 m/s, .35 to .6 agree.
+    shorter = [max(SHORTEST, 2 * int(0.6 * n / 2) + 1) for n in windows]
 
     def read(channel: int, window: int, derivative: int) -> Array:
         kernel, trim = polynomial_kernels(window, ORDER, log.step)[derivative], widest - window

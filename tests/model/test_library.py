@@ -156,7 +156,7 @@ def test_rows_of_several_flights_have_their_weights():
 
 
 def test_weak_rows_average_the_columns():
-    samples = Derivative("weak", window=31)(flight())
+    samples = Derivative("weak")(flight())
     problem = Library(SMALL_GRID).build([samples], [VEHICLE])
     expected = samples.averages.operator @ columns_of(samples.averages.position, SMALL_GRID.scales)
     np.testing.assert_allclose(problem.theta, expected, atol=1e-13)
