@@ -1,7 +1,6 @@
 """The model: candidate functions, what their weights say, and the search for shapes of flow."""
 
-from sparsefit.model.columns import CANDIDATES, candidate_columns
-from sparsefit.model.grid import LengthScaleGrid
+from sparsefit.model.grid import CANDIDATES, LengthScaleGrid, candidate_columns
 from sparsefit.model.ladder import Proposal, Start, propose
 from sparsefit.model.library import TARGET_NAMES, Library
 from sparsefit.model.readout import Readout, read_grid

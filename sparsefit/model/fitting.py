@@ -19,7 +19,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, box
 from sparsefit.cached import cached_property
-from sparsefit.model.columns import sines_and_cosines
+from sparsefit.model.grid import sines_and_cosines
 from sparsefit.model.shapes import Shape
 
 RANK = 1e-12  # eigenvalues of a scaled Gram matrix below this, relative, are dropped

@@ -1,8 +1,17 @@
-"""The grids of a library: length scales (paper Eq. 18), and wavevectors over half the plane.
+"""The grids of a library, and the columns that they give at positions.
 
-A flight of extent D resolves wavenumbers to about pi/D: a grid may be made for it. A wave of psi
-with wavevector k is the one with -k, so half a plane holds them all; square cells of length scale L
-are two waves of |k| = sqrt(2) pi/L, so a ring of waves is a length scale.
+A grid of length scales (Eq. 18) has the candidates of cells (Eq. 17), at each wavenumber k = pi/L
+the single sines and cosines of the phases k x and k y, and their four products. A grid of
+wavevectors over half the plane has the waves of a stream function, u = d psi/dy, v = -d psi/dx: of
+
+    psi = sum_j a_j cos theta_j + b_j sin theta_j,    theta_j = k_j . x,
+
+each wave gives two columns, which both velocity components share: rows are x before y of each
+sample. With g = d/d theta of cos and of sin, they are (k_y, -k_x) g(theta). k is in rad/m, a and b
+in m^2/s. The wave of -k is that of k; square cells of length scale L are two waves of |k| =
+sqrt(2) pi/L, so a ring of waves is a length scale.
+
+A flight of extent D resolves wavenumbers to about pi/D: a grid may be made for it.
 """
 
 from __future__ import annotations
@@ -18,12 +27,20 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, integer, is_number, one_of, positive
 
 Spacing = Literal["length-scale", "wavenumber", "flight"]
-
 Bounds = tuple[float, float]
 
-MAX_SCALES = 2_048  # k = 16 384 columns: Z'Z alone is 2 GiB
-MAX_WAVES = 2_048  # k = 4096 columns
-STEP = 0.2  # m, the paper's
+CANDIDATES = (
+    "sin x",
+    "sin y",
+    "cos x",
+    "cos y",
+    "sin x sin y",
+    "sin x cos y",
+    "cos x sin y",
+    "cos x cos y",
+)
+MOST = 2_048  # scales, 16,384 columns whose Z'Z alone is 2 GiB, or waves
+BUILD_ROWS = 64  # of theta at once: they stay in cache
 
 
 def extent_of(position: Array) -> float:
@@ -59,31 +76,29 @@ class LengthScaleGrid:
 
     def __post_init__(self) -> None:
         one_of("spacing", self.spacing, get_args(Spacing))
-        for name in ("lower", "upper"):
-            positive(f"grid: {name}", getattr(self, name), "m")
-        if self.upper < self.lower:
-            raise InputError(
-                f"grid: upper ({self.upper:g} m) is below lower ({self.lower:g} m); swap them"
-            )
-        if self.step is not None and self.count is not None:
-            raise InputError("grid: give step or count, not both")
-        if self.spacing == "wavenumber" and self.count is None:
-            raise InputError("grid: spacing 'wavenumber' needs count (the number of scales)")
-        if self.step is not None:
-            positive("grid: step", self.step, "m")
+        for name in ("lower", "upper", "step"):
+            if name != "step" or self.step is not None:
+                positive(f"grid: {name}", getattr(self, name), "m")
         if self.count is not None:
             integer("grid: count", self.count, 1)
-        if not is_number(self.fraction, 0.0, 1.0, open_low=True):
-            raise InputError(f"grid: fraction of the lobe must be in (0, 1], not {self.fraction!r}")
-        if self.spacing == "flight":
-            if self.step is not None or self.count is not None:
-                raise InputError("grid: spacing 'flight' takes fraction, not step or count")
-            return
-        if self.size > MAX_SCALES:
-            raise InputError(
-                f"grid: {self.size} length scales are more than the {MAX_SCALES} that can be "
-                "held; use a larger step or a narrower range"
+        problem = ""
+        if self.upper < self.lower:
+            problem = f"upper ({self.upper:g} m) is below lower ({self.lower:g} m); swap them"
+        elif self.step is not None and self.count is not None:
+            problem = "give step or count, not both"
+        elif self.spacing == "wavenumber" and self.count is None:
+            problem = "spacing 'wavenumber' needs count (the number of scales)"
+        elif not is_number(self.fraction, 0.0, 1.0, open_low=True):
+            problem = f"fraction of the lobe must be in (0, 1], not {self.fraction!r}"
+        elif self.spacing == "flight" and (self.step, self.count) != (None, None):
+            problem = "spacing 'flight' takes fraction, not step or count"
+        elif self.spacing != "flight" and self.size > MOST:
+            problem = (
+                f"{self.size} length scales are more than the {MOST} that can be held; use a "
+                "larger step or a narrower range"
             )
+        if problem:
+            raise InputError(f"grid: {problem}")
 
     def resolving(self, extent: float) -> LengthScaleGrid:
         """This grid for a flight of that extent [m]: itself, or with spacing ``flight`` its own.
@@ -107,8 +122,7 @@ class LengthScaleGrid:
         if self.count is not None:
             return self.count
         # A hair of tolerance: (12 - 1)/0.2 is 54.99999999999999 in binary.
-        steps = min((self.upper - self.lower) / (self.step or STEP), 1e15)  # beyond what is held
-        return int(np.floor(steps + 1e-9)) + 1
+        return int(min((self.upper - self.lower) / (self.step or 0.2), 1e15) + 1e-9) + 1
 
     @cached_property
     def scales(self) -> Array:
@@ -119,7 +133,7 @@ class LengthScaleGrid:
         if self.count is not None:
             return np.linspace(self.lower, self.upper, self.count)
         # Rounding to 12 digits gives 4.2, not 4.200000000000001, as the scale that is reported.
-        return np.round(self.lower + (self.step or STEP) * np.arange(self.size), 12)
+        return np.round(self.lower + (self.step or 0.2) * np.arange(self.size), 12)
 
 
 def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArray, Array]:
@@ -129,7 +143,7 @@ def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArr
     each ring (g,) [m], ascending. Rings, and the waves of a ring, are a lobe, pi / extent, apart.
 
     Raises:
-        InputError: if the flight does not move, or resolves more than `MAX_WAVES` waves.
+        InputError: if the flight does not move, or resolves more than 2048 waves.
     """
     if not extent > 0:
         raise InputError("the flight does not move: no wave can be told; fly farther")
@@ -137,17 +151,17 @@ def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArr
     apart = math.pi / extent
     # Before any ring is made: the half ring of area pi (b^2 - a^2)/2, at one wave a square.
     about = 0.5 * math.pi * (largest**2 - least**2) / apart**2
-    if about <= 2 * MAX_WAVES:
+    if about <= 2 * MOST:
         count = math.ceil((largest - least) / apart * (1 - 1e-12)) + 1
         sizes = np.linspace(largest, least, count)
         # Two at least: cells are two waves.
         waves = np.maximum(np.ceil(math.pi * sizes / apart * (1 - 1e-12)), 2).astype(int)
         about = float(waves.sum())
-    if about > MAX_WAVES:
+    if about > MOST:
         raise InputError(
             f"a flight of {extent:.3g} m resolves {about:.0f} waves down to {lower:g} m, more than "
-            f"the {MAX_WAVES} that can be held: raise the grid's lower bound to about "
-            f"{lower * math.sqrt(about / MAX_WAVES):.2g} m, or use a piece of the flight"
+            f"the {MOST} that can be held: raise the grid's lower bound to about "
+            f"{lower * math.sqrt(about / MOST):.2g} m, or use a piece of the flight"
         )
     ring = np.repeat(np.arange(count), waves)
     place = np.arange(len(ring)) - np.repeat(np.cumsum(waves) - waves, waves)
@@ -155,3 +169,63 @@ def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArr
     angle = math.pi * (place + 0.5 * (ring % 2)) / waves[ring]
     wavevectors = sizes[ring][:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return wavevectors, ring, math.sqrt(2.0) * math.pi / sizes
+
+
+def sines_and_cosines(phase: Array) -> tuple[Array, Array]:
+    """sin and cos of phases [rad] of any shape, to 3 units of rounding of 1.
+
+    Both are rational in the tangent of half the phase: with t = tan(phase / 2)
+
+        sin = 2 t / (1 + t^2),   cos = 2 / (1 + t^2) - 1,
+
+    one transcendental function instead of two, and the one that numpy evaluates side by side.
+    """
+    half = np.tan(0.5 * phase)
+    share = 2.0 / (1.0 + half * half)
+    return half * share, share - 1.0
+
+
+def candidate_columns(position: Array, scales: Array) -> Array:
+    """Theta (m, 8 g) of Eq. 19, group-major: one sine and cosine per scale and axis, then products.
+
+    Args:
+        position: (m, 2) [m].
+        scales: length scales (g,) [m].
+
+    Raises:
+        InputError: if theta would not fit in memory.
+    """
+    _check_size(len(position), len(scales) * len(CANDIDATES))
+    theta = np.empty((len(position), len(scales), len(CANDIDATES)))
+    k = np.pi / scales
+    for start in range(0, len(theta), BUILD_ROWS):
+        block, out = position[start : start + BUILD_ROWS], theta[start : start + BUILD_ROWS]
+        (out[..., 0], out[..., 2]), (out[..., 1], out[..., 3]) = (
+            sines_and_cosines(block[:, axis : axis + 1] * k) for axis in range(2)
+        )
+        for place, (first, second) in enumerate(((0, 1), (0, 3), (2, 1), (2, 3)), 4):
+            np.multiply(out[..., first], out[..., second], out=out[..., place])
+    return theta.reshape(len(position), -1)
+
+
+def wave_columns(position: Array, wavevectors: Array) -> Array:
+    """Theta (2 m, 2 w) of steady waves k (w, 2) [rad/m] at positions (m, 2) [m], x before y.
+
+    Raises InputError where it would not fit in memory.
+    """
+    _check_size(2 * len(position), 2 * len(wavevectors))
+    theta = np.empty((len(position), 2, len(wavevectors), 2))
+    across = wavevectors.T[::-1, :, None] * np.array([1.0, -1.0])[:, None, None]  # (k_y, -k_x)
+    for start in range(0, len(position), BUILD_ROWS):
+        block = position[start : start + BUILD_ROWS]
+        sine, cosine = sines_and_cosines(block @ wavevectors.T)
+        theta[start : start + BUILD_ROWS] = across * np.stack([-sine, cosine], axis=2)[:, None]
+    return theta.reshape(2 * len(position), -1)
+
+
+def _check_size(rows: int, columns: int) -> None:
+    if (size := 8 * rows * columns) > 8 * 2**30:
+        raise InputError(
+            f"a library of {rows} rows and {columns} columns needs {size / 2**30:.1f} GiB; use "
+            "fewer waves, scales or samples"
+        )

@@ -11,15 +11,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, one_of, told_of
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.columns import CANDIDATES, candidate_columns, wave_theta
-from sparsefit.model.grid import Bounds, LengthScaleGrid, extent_of, wave_rings
+from sparsefit.model.grid import (
+    CANDIDATES,
+    Bounds,
+    LengthScaleGrid,
+    candidate_columns,
+    extent_of,
+    wave_columns,
+    wave_rings,
+)
 from sparsefit.model.unknowns import UnknownColumns, checked_unknowns, project_out
 from sparsefit.regression.problem import RegressionProblem, compressed
 from sparsefit.rows import Samples
@@ -34,46 +41,6 @@ TARGET_NAMES: dict[str, tuple[str, ...]] = {
     "state-derivative": ("dx/dt", "dy/dt", "dv_x/dt", "dv_y/dt"),
 }
 STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
-
-
-@dataclass(frozen=True, eq=False)
-class GridColumns:
-    """The columns of theta before any flight is put into them.
-
-    Args:
-        parameters: of the modes on the grid, (s, p): k [1/m] of cells, or wavevectors [rad/m].
-        group: of each column (k,).
-        scales: the length scale of each group (g,) [m].
-        names: of the columns (k,).
-        subgroups: the mode of each column (k,), where modes are groups within their groups.
-    """
-
-    parameters: Array
-    group: IntArray
-    scales: Array
-    names: tuple[str, ...]
-    subgroups: IntArray | None = None
-
-    @property
-    def shared(self) -> bool:
-        """Whether the velocity components share their weights: a sample has two rows then."""
-        return bool(self.parameters.shape[1] == 2)
-
-    def blocks(self, source: Samples, most: int) -> Iterator[tuple[slice, Array]]:
-        """The rows of theta, those of at most so many samples at once, and which they are.
-
-        Raises InputError where they would not fit in memory.
-        """
-        per = 1 + self.shared
-        for rows, psi, position in source.blocks(most):
-            theta = (
-                wave_theta(position, self.parameters)
-                if self.shared
-                else candidate_columns(position, self.scales)
-            )
-            if psi is not None:
-                theta = (psi @ theta.reshape(len(position), -1)).reshape(-1, theta.shape[1])
-            yield slice(per * rows.start, per * rows.stop), theta
 
 
 @dataclass(frozen=True)
@@ -128,27 +95,31 @@ class Library:
             return samples.acceleration
         return np.hstack([samples.position_rate, samples.acceleration])
 
-    def columns(self, position: Array) -> GridColumns:
-        """The columns that the grid gives flights at positions (m, 2) [m].
+    def _columns(self, extent: float) -> dict[str, Any]:
+        """The columns that the grid gives a flight of that extent [m], as a problem has them.
 
         Raises InputError where they are too many to hold.
         """
-        extent = extent_of(position)
         if self.family == "cells":
             scales = self.grid.resolving(extent).scales
-            group = np.repeat(np.arange(len(scales)), len(CANDIDATES))
-            names = tuple(
-                f"{name} (L = {scale:g} m)" for scale in scales.tolist() for name in CANDIDATES
-            )
-            return GridColumns(math.pi / scales[:, None], group, scales, names)
+            return {
+                "names": tuple(
+                    f"{name} (L = {scale:g} m)" for scale in scales.tolist() for name in CANDIDATES
+                ),
+                "groups": np.repeat(np.arange(len(scales)), len(CANDIDATES)),
+                "group_scales": scales,
+                "parameters": math.pi / scales[:, None],
+            }
         k, ring, scales = wave_rings(self.grid.lower, self.grid.upper, extent)
-        wave = np.repeat(np.arange(len(k)), 2)
-        names = tuple(
-            f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for x, y in k for part in ("cos", "sin")
-        )
-        if self.groups == "wave":
-            return GridColumns(k, wave, scales[ring], names)
-        return GridColumns(k, np.repeat(ring, 2), scales, names, wave)
+        wave, nested = np.repeat(np.arange(len(k)), 2), self.groups == "nested"
+        pairs = [(part, *pair) for pair in k.tolist() for part in ("cos", "sin")]
+        return {
+            "names": tuple(f"psi = {part} k.x (k = {x:.4g}, {y:.4g} 1/m)" for part, x, y in pairs),
+            "groups": np.repeat(ring, 2) if nested else wave,
+            "group_scales": scales if nested else scales[ring],
+            "parameters": k,
+            "subgroups": wave if nested else None,
+        }
 
     def build(
         self,
@@ -175,26 +146,36 @@ class Library:
                 "library: 'every' thins samples, but the weak form has averages of its own; leave "
                 "it out, or use a larger window"
             )
-        columns = self.columns(position)
+        columns = self._columns(extent_of(position))
+        size, per = len(columns["names"]), 1 if self.family == "cells" else 2
         sources = [samples.source.every(self.every) for samples in flights]
-        size, per = len(columns.names), 1 + columns.shared
         count = per * sum(len(source.time) for source in sources)
         large = 8 * count * size > STREAM_BYTES and count > size + 4
-        parts = []
-        for number, (source, vehicle, weight) in enumerate(
-            zip(sources, vehicles, weights, strict=True), 1
-        ):
+
+        def blocks(source: Samples) -> Iterator[tuple[slice, Array]]:
+            """The rows of theta, in blocks of bounded memory, and which they are."""
+            for rows, psi, place in source.blocks(4096 if large else len(source.position)):
+                if self.family == "cells":
+                    theta = candidate_columns(place, columns["group_scales"])
+                else:
+                    theta = wave_columns(place, columns["parameters"])
+                if psi is not None:
+                    theta = (psi @ theta.reshape(len(place), -1)).reshape(-1, size)
+                yield slice(per * rows.start, per * rows.stop), theta
+
+        parts, every = [], zip(sources, vehicles, weights, strict=True)
+        for number, (source, vehicle, weight) in enumerate(every, 1):
             with told_of("flight", number, len(flights)):
                 target = self.response(source, vehicle).reshape(per * len(source.time), -1)
-                basis = UnknownColumns(self.unknown, vehicle).basis(source, shared=columns.shared)
-                blocks = columns.blocks(source, 4096 if large else len(source.position))
+                basis = UnknownColumns(self.unknown, vehicle).basis(source, shared=per == 2)
                 if large:
                     triangle, target = compressed(
-                        (np.hstack([basis[rows], theta]), target[rows]) for rows, theta in blocks
+                        (np.hstack([basis[rows], theta]), target[rows])
+                        for rows, theta in blocks(source)
                     )
                     basis, theta = np.split(triangle, [basis.shape[1]], axis=1)
                 else:
-                    theta = _stacked([theta for _, theta in blocks])
+                    theta = _stacked([theta for _, theta in blocks(source)])
                 if self.unknown:
                     theta, target = project_out(basis, theta, target)
                 parts.append((theta, target) if weight == 1 else (weight * theta, weight * target))
@@ -203,13 +184,9 @@ class Library:
         return RegressionProblem(
             theta,
             target,
-            columns.group,
-            columns.names,
-            (" ".join(names),) if columns.shared else names,
-            columns.scales,
-            count if large else None,
-            columns.subgroups,
-            columns.parameters,
+            target_names=names if per == 1 else (" ".join(names),),
+            sample_count=count if large else None,
+            **columns,
         )
 
 

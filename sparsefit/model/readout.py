@@ -8,22 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, get_args, get_type_hints
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError, number_setting, one_of
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.model.columns import (
-    CandidateFlow,
-    candidate_columns,
-    rms_mean_velocity,
-    wave_peaks,
-    wave_theta,
-)
-from sparsefit.model.grid import Bounds, extent_of, middle
+from sparsefit.model.grid import Bounds, candidate_columns, extent_of, middle, wave_columns
 from sparsefit.model.ladder import Start, Window
 from sparsefit.model.library import Library
 from sparsefit.model.search import Search
@@ -31,13 +25,7 @@ from sparsefit.model.shapes import WaveCells, read_cells
 from sparsefit.regression.fit import Fit
 from sparsefit.rows import Samples
 
-LengthScaleReadout = Literal["signed-sum", "absolute-sum", "group-norm"]
-MeanVelocityReadout = Literal["paper", "rms"]
-Eq24 = Literal["mean-ratio", "pseudo-inverse"]
-Refine = Literal["none", "variable-projection", "ladder"]
-Scales = Literal["one", "several"]
-
-UNNAMED: Refine = "variable-projection"  # what a file that names no refinement has always meant
+UNNAMED = "variable-projection"  # what a file that names no refinement has always meant
 MOST_WAVES = 12  # that are read
 
 
@@ -62,22 +50,17 @@ class Readout:
     value, that is still called ``ok``; at 0.03 a value is off by 5 % once in a thousand flights.
     """
 
-    length_scale: LengthScaleReadout = "group-norm"
-    mean_velocity: MeanVelocityReadout = "rms"
-    eq24: Eq24 = "pseudo-inverse"
-    refine: Refine = "ladder"
-    scales: Scales = "one"
+    length_scale: Literal["signed-sum", "absolute-sum", "group-norm"] = "group-norm"
+    mean_velocity: Literal["paper", "rms"] = "rms"
+    eq24: Literal["mean-ratio", "pseudo-inverse"] = "pseudo-inverse"
+    refine: Literal["none", "variable-projection", "ladder"] = "ladder"
+    scales: Literal["one", "several"] = "one"
     precision: float = 0.03
 
     def __post_init__(self) -> None:
-        for key, valid in (
-            ("length_scale", get_args(LengthScaleReadout)),
-            ("mean_velocity", get_args(MeanVelocityReadout)),
-            ("eq24", get_args(Eq24)),
-            ("refine", get_args(Refine)),
-            ("scales", get_args(Scales)),
-        ):
-            one_of(f"readout {key}", getattr(self, key), valid)
+        for key, kind in get_type_hints(type(self)).items():
+            if get_args(kind):
+                one_of(f"readout {key}", getattr(self, key), get_args(kind))
         number_setting("readout", "precision", self.precision, low=0.0)
         if self.scales == "several" and self.mean_velocity == "paper":
             raise InputError(
@@ -142,6 +125,68 @@ def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
     return tuple(chosen)
 
 
+def wave_peaks(
+    wavevectors: Array, weights: Array, extent: float, most: int
+) -> tuple[IntArray, Array]:
+    """The peaks of weights a, b (w, 2) over the plane, strongest first, one in a neighbourhood.
+
+    A wave between those of a grid shares its strength among its neighbours: a peak is the
+    strongest wave of a neighbourhood (p,), and its place the mean wavevector (p, 2) [rad/m] there,
+    by squared strength |k|^2 (a^2 + b^2). k and -k are the same wave; extent: of the flight [m].
+    """
+    strength = np.linalg.norm(wavevectors, axis=1) * np.linalg.norm(weights, axis=1)
+    near = 1.5 * math.pi / extent  # the diagonal of a grid of one step
+    free = strength > 0
+    tops: list[int] = []
+    peaks: list[Array] = []
+    while free.any() and len(tops) < most:
+        top = int(np.argmax(np.where(free, strength, -1.0)))
+        if strength[top] < 0.1 * strength.max():
+            break
+        sides = np.where(wavevectors @ wavevectors[top] < 0, -1.0, 1.0)[:, None] * wavevectors
+        around = free & (np.linalg.norm(sides - wavevectors[top], axis=1) <= near)
+        shares = strength[around] ** 2
+        tops.append(top)
+        peaks.append(shares @ sides[around] / shares.sum())
+        free &= ~around
+    return np.array(tops, dtype=np.intp), np.array(peaks).reshape(-1, 2)
+
+
+def rms_mean_velocity(weights: Array) -> Array:
+    """U0 = sqrt(2 <|w|^2>) [m/s] over the cell, in closed form, from weights (..., 8, 2) [m/s].
+
+    A single has mean square 1/2 and a product 1/4; the cellular flow of Eq. 1 has
+    <|w|^2> = U0^2 / 2.
+    """
+    mean_square = np.repeat([0.5, 0.25], 4)[:, None]
+    speed: Array = np.sqrt(2 * np.sum(mean_square * weights**2, axis=(-2, -1)))
+    return speed
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateFlow:
+    """A sum of weighted candidates; with free weights it may have a divergence.
+
+    w(x) = sum_j C(k_j, x - x0) W_j, C the 8 candidates of a wavenumber (Eq. 17).
+
+    Args:
+        wavenumbers: k = pi/L (s,) [1/m].
+        weights: W (s, 8, 2) [m/s].
+        origin: x0 (2,) [m], where the phases of the candidates are 0.
+    """
+
+    wavenumbers: Array
+    weights: Array
+    origin: Array
+
+    def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
+        """Return the flow velocity [m/s], shape (..., 2), at x, y [m]; t [s] changes nothing."""
+        places = np.broadcast_arrays(*(np.asarray(given, dtype=np.float64) for given in (x, y, t)))
+        position = np.column_stack([places[0].ravel(), places[1].ravel()]) - self.origin
+        theta = candidate_columns(position, math.pi / self.wavenumbers)
+        return (theta @ self.weights.reshape(-1, 2)).reshape(*places[0].shape, 2)
+
+
 def read_grid(
     fit: Fit,
     flights: Sequence[Samples],
@@ -173,7 +218,7 @@ def read_grid(
     if library.family == "waves":
         k, own = _waves_of(fit)
         k_top = k[wave_peaks(k, own, extent_of(position), MOST_WAVES)[0]]
-        top = refitted(lambda place: wave_theta(place, k_top))
+        top = refitted(lambda place: wave_columns(place, k_top))
         used = own.any(axis=1)
         return (read_cells(k_top, top.reshape(-1, 2)),), WaveFlow(k[used], *own[used].T)
     origin = middle(np.concatenate([source.position for source in sources]))

@@ -12,7 +12,9 @@ resolves less, and so needs fewer waves. There the Gram matrix is m/2.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,67 +24,48 @@ from sparsefit.cached import cached_property
 from sparsefit.model.fitting import FlowRows
 from sparsefit.model.grid import Bounds, extent_of, middle
 
-FLAT = 1e-2  # of m: eigenvalues of the Gram matrix below it are those of a constant
-MOST_SINGLE = 2_048  # steps from the middle of a grid: its sums then round to 1e-4 of the rows
 FEWEST_PIECES = 4  # of a scan in pieces
 
 
-@dataclass(frozen=True, eq=False)
-class FourierSums:
-    """Sums of loads times exp(i k.x) over rows, k = middle + step * n for n in a centred box.
+def fourier_sums(
+    place: Array,
+    step: Array,
+    half: tuple[int, ...],
+    loads: Array | ComplexArray,
+    *,
+    times: int = 1,
+    centre: float = 0.0,
+    most_single: int = 2_048,
+) -> ComplexArray:
+    """Sums of loads times exp(i k.x) over rows, (..., 2 half + 1, ...), at all k of a grid.
 
     Args:
         place: x of the rows (m, d), d of 1 to 3.
         step: between wavenumbers along each axis (d,).
         half: how many steps there are from the middle to either side, along each axis.
-        middle: of the grid, where d is 1; else 0.
+        loads: of the rows (m,) or (j, m).
+        times: how many times k the sums are at.
+        centre: the middle of the grid, where d is 1; else 0.
+        most_single: steps up to which sums are in single precision: they round to 1e-4 of the rows.
     """
+    import finufft
 
-    place: Array
-    step: Array
-    half: tuple[int, ...]
-    middle: float = 0.0
-
-    @cached_property
-    def axes(self) -> list[Array]:
-        """The wavenumbers along each axis."""
-        steps = (np.arange(-n, n + 1.0) for n in self.half)
-        return [self.middle + step * n for step, n in zip(self.step, steps, strict=True)]
-
-    def of(self, loads: Array | ComplexArray, times: int = 1) -> ComplexArray:
-        """The sums (..., 2 half + 1, ...) of loads (m,) or (j, m), with ``times`` times k."""
-        import finufft
-
-        if self.middle:
-            loads = loads * np.exp(1j * times * self.middle * self.place.sum(axis=1))
-        single = max(self.half) <= MOST_SINGLE
-        real, both = (np.float32, np.complex64) if single else (np.float64, np.complex128)
-        nodes = (times * self.step * self.place).T.astype(real, order="C")
-        size = tuple(2 * n + 1 for n in self.half)
-        transform = (finufft.nufft1d1, finufft.nufft2d1, finufft.nufft3d1)[len(size) - 1]
-        sums: ComplexArray = transform(
-            *nodes,
-            np.ascontiguousarray(loads, dtype=both),
-            size if len(size) > 1 else size[0],
-            eps=1e-4,  # of the rows
-            isign=1,
-            nthreads=1,
-            upsampfac=1.25 if single else 2.0,
-        )
-        return sums
-
-    def across(self, errors: Array) -> ComplexArray:
-        """(k_y, -k_x)/|k| . sum exp(i k.x) Phi (n, n, ...) of errors Phi (m, 2), k = 0 at 0."""
-        both = self.of(errors[:, 0] + 1j * errors[:, 1])
-        back = np.conj(np.flip(both))
-        k_y = self.axes[1].reshape(-1, *[1] * (both.ndim - 2)).astype(both.real.dtype)
-        k_x = k_y[:, None]
-        radius = np.hypot(k_x, k_y)
-        radius[radius == 0] = 1.0
-        # Sums of u are half of both + back, sums of v half of both - back over i.
-        of_u, of_v = 0.5 * k_y / radius, 0.5j * (k_x / radius)
-        load: ComplexArray = (of_u + of_v) * both + (of_u - of_v) * back
-        return load
+    if centre:
+        loads = loads * np.exp(1j * times * centre * place.sum(axis=1))
+    single = max(half) <= most_single
+    real, both = (np.float32, np.complex64) if single else (np.float64, np.complex128)
+    size = tuple(2 * n + 1 for n in half)
+    transform = (finufft.nufft1d1, finufft.nufft2d1, finufft.nufft3d1)[len(size) - 1]
+    sums: ComplexArray = transform(
+        *(times * step * place).T.astype(real, order="C"),
+        np.ascontiguousarray(loads, dtype=both),
+        size if len(size) > 1 else size[0],
+        eps=1e-4,  # of the rows
+        isign=1,
+        nthreads=1,
+        upsampfac=1.25 if single else 2.0,
+    )
+    return sums
 
 
 def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: float) -> Array:
@@ -95,7 +78,8 @@ def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: flo
     first = 0.5 + 0.5 * twice.real - once.real**2
     last = 0.5 - 0.5 * twice.real - once.imag**2
     mixed = 0.5 * twice.imag - once.real * once.imag
-    least = np.maximum(FLAT * np.maximum(first, last), FLAT**3)
+    flat = 1e-2  # of m: eigenvalues below it are those of a constant
+    least = np.maximum(flat * np.maximum(first, last), flat**3)
     determinant = np.maximum(first * last - mixed**2, least)
     gains = last * load.real**2 - 2 * mixed * load.real * load.imag + first * load.imag**2
     gains /= determinant * count
@@ -140,10 +124,10 @@ def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Arra
     moved = own[:, None] * (rest - np.outer(own, own @ rest / count))
     x, y = (position - middle(position)).T
     for along, load in ((x + y, moved[:, 0] - moved[:, 1]), (x - y, moved[:, 0] + moved[:, 1])):
-        sums = FourierSums(along[:, None], step, (half,), 0.5 * (bounds[0] + bounds[1]))
-        once, twice = (sums.of(own * own, times) / count for times in (1, 2))
-        total += gain(sums.of(math.sqrt(0.5) * load), once, twice, count)
-    return sums.axes[0], total
+        sums = partial(fourier_sums, along[:, None], step, (half,), centre=sum(bounds) / 2)
+        once, twice = (sums(own * own, times=times) / count for times in (1, 2))
+        total += gain(sums(math.sqrt(0.5) * load), once, twice, count)
+    return sum(bounds) / 2 + step * np.arange(-half, half + 1.0), total
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,11 +180,15 @@ class WaveScan:
         return axis
 
     @cached_property
+    def radius(self) -> Array:
+        """|k| of the grid (n, n) [rad/m]."""
+        return np.asarray(np.hypot(self.axis[:, None], self.axis))
+
+    @cached_property
     def inside(self) -> Array:
         """1 where a wavevector of the grid (n, n) is between the radii, else 0."""
-        radius = np.hypot(self.axis[:, None], self.axis)
-        inside: Array = ((radius >= self.radii[0]) & (radius <= self.radii[1])).astype(float)
-        return inside
+        low, high = self.radii
+        return ((self.radius >= low) & (self.radius <= high)).astype(float)
 
     @cached_property
     def count(self) -> float:
@@ -221,13 +209,14 @@ class WaveScan:
         cuts = (np.array_split(part, self.pieces) for part in parts)
         for place, errors, weight in zip(*cuts, strict=True):
             nodes = (place - middle(place))[:, :dimensions] * (1.0, 1.0, -1.0)[:dimensions]
-            sums, squares = FourierSums(nodes, self.steps[:dimensions], self.halves), weight**2
+            sums = partial(fourier_sums, nodes, self.steps[:dimensions], self.halves)
+            squares = weight**2
             count = float(squares.sum())
             constant = np.outer(weight, weight @ errors / count)
-            load = sums.across(weight[:, None] * (errors - constant))
+            load = self._across(sums, weight[:, None] * (errors - constant))
             if self.pieces == 1 and dimensions == 2:
                 if "means" not in memory:
-                    memory["means"] = sums.of(squares) / count, sums.of(squares, 2) / count
+                    memory["means"] = sums(squares) / count, sums(squares, times=2) / count
                 once, twice = memory["means"]
                 total = gain(load, once, twice, count)
             else:
@@ -236,12 +225,25 @@ class WaveScan:
         if dimensions == 3:
             half = self.halves[2]
             omega = self.steps[2] * np.arange(-half, half + 1.0)
-            radius = np.hypot(self.axis[:, None], self.axis)
-            total = total * (np.abs(omega) <= (self.fastest * radius + self.steps[2])[..., None])
+            fastest = self.fastest * self.radius + self.steps[2]
+            total = total * (np.abs(omega) <= fastest[..., None])
             best = total.argmax(axis=2)
             total = np.take_along_axis(total, best[..., None], axis=2)[..., 0]
         memory |= {"rest": rest, "gains": (self.inside * total, omega[best])}
         return self.inside * total, omega[best]
+
+    def _across(self, sums: Callable[[ComplexArray], ComplexArray], errors: Array) -> ComplexArray:
+        """(k_y, -k_x)/|k| . sum exp(i k.x) Phi (n, n, ...) of errors Phi (m, 2), k = 0 at 0."""
+        both = sums(errors[:, 0] + 1j * errors[:, 1])
+        back = np.conj(np.flip(both))
+        k_y = self.axis.reshape(-1, *[1] * (both.ndim - 2)).astype(both.real.dtype)
+        k_x = k_y[:, None]
+        radius = np.hypot(k_x, k_y)
+        radius[radius == 0] = 1.0
+        # Sums of u are half of both + back, sums of v half of both - back over i.
+        of_u, of_v = 0.5 * k_y / radius, 0.5j * (k_x / radius)
+        load: ComplexArray = (of_u + of_v) * both + (of_u - of_v) * back
+        return load
 
     def waves(self, gains: Array, most: int) -> Array:
         """The wavevectors (p, 2) [rad/m] of the highest peaks of gains, one of k and -k."""

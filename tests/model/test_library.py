@@ -12,8 +12,8 @@ from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model import library as room
-from sparsefit.model.columns import candidate_columns as columns_of
 from sparsefit.model.grid import LengthScaleGrid, wave_rings
+from sparsefit.model.grid import candidate_columns as columns_of
 from sparsefit.model.library import Library
 from sparsefit.rows import Derivative
 from tests.problems import SMALL_GRID, VEHICLE, flight
@@ -236,7 +236,7 @@ def test_groups_are_waves_or_rings_of_them(samples, problem, groups):
     built = Library(GRID, family="waves", every=10, groups=groups).build([samples], [VEHICLE])
     waves = np.arange(problem.columns) // 2
     sizes = math.sqrt(2.0) * math.pi / built.group_scales
-    k = WAVES.columns(samples.position).parameters
+    k = problem.parameters
     assert sizes[built.groups] == pytest.approx(np.linalg.norm(k, axis=1)[waves])
     if groups == "wave":
         np.testing.assert_array_equal(built.groups, waves)

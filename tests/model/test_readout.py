@@ -10,8 +10,8 @@ from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Readout, Search, read_grid
-from sparsefit.model.columns import CANDIDATES, candidate_columns, rms_mean_velocity
-from sparsefit.model.readout import paper_mean_velocity, windows
+from sparsefit.model.grid import CANDIDATES, candidate_columns
+from sparsefit.model.readout import paper_mean_velocity, rms_mean_velocity, windows
 from sparsefit.rows import Derivative
 from tests.problems import VEHICLE, flight
 
