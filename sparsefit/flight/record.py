@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -59,13 +60,7 @@ class Flight(Brief):
 
     @classmethod
     def from_positions(
-        cls,
-        time: object,
-        position: object,
-        vehicle: PointMassVehicle,
-        flow: Flow | None = None,
-        thrust: Array | None = None,
-        frame: str = "",
+        cls, time: object, position: object, vehicle: PointMassVehicle, **others: Any
     ) -> Flight:
         """Return a flight whose log has positions only.
 
@@ -75,17 +70,34 @@ class Flight(Brief):
         Raises:
             InputError: as `Flight` does.
         """
-        t, x = frozen("time", time, ("m",)), frozen("position", position, ("m", 2))
-        _check_rows(t, x, x, None)
-        return cls(t, x, np.gradient(x, t, axis=0), vehicle, flow, False, thrust, frame)
+        x: Any = position
+        return cls(time, x, x, vehicle, velocity_measured=False, **others)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""
-        store(self, frozen, ("m",), "time")
-        store(self, frozen, ("m", 2), "position", "velocity")
-        if self.thrust is not None:
-            store(self, frozen, ("m", 2), "thrust")
-        _check_rows(self.time, self.position, self.velocity, self.thrust)
+        names = ("time", "position", "velocity", *(() if self.thrust is None else ("thrust",)))
+        for name in names:
+            store(self, frozen, ("m",) if name == "time" else ("m", 2), name)
+            values = getattr(self, name)
+            large = np.argwhere(np.abs(values) > LARGEST)
+            if len(large):
+                value = f"{values[tuple(large[0])]:g} in row {large[0][0]}"
+                raise InputError(f"{name} is {value}: no flight; change the unit")
+        counts = [len(getattr(self, name)) for name in names]
+        if len(set(counts[:3])) != 1:
+            raise InputError(
+                "time, position and velocity must have one row per sample each; "
+                "got {} times, {} positions and {} velocities".format(*counts)
+            )
+        if counts[-1] != counts[0]:
+            words = f"thrust has {counts[-1]} rows for {counts[0]} samples"
+            raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
+        if self.samples < MINIMUM_SAMPLES:
+            raise InputError(f"a flight needs at least {MINIMUM_SAMPLES} samples; got {counts[0]}")
+        self._check_clock()
+        if not self.velocity_measured:
+            rate = np.gradient(self.position, self.time, axis=0)
+            object.__setattr__(self, "velocity", frozen("velocity", rate, ("m", 2)))
         if not isinstance(self.vehicle, PointMassVehicle):
             raise InputError(f"vehicle must be a PointMassVehicle; got {self.vehicle!r}")
         tau, *others = self.vehicle.parameters
@@ -95,21 +107,29 @@ class Flight(Brief):
         one_of("frame", self.frame, FRAMES)
         object.__setattr__(self, "flow", as_flow(self.flow))
 
+    def _check_clock(self) -> None:
+        """Refuse times that do not increase, or samples that are no time apart."""
+        falls = np.flatnonzero(np.diff(self.time) <= 0)
+        if len(falls):
+            row = int(falls[0]) + 1
+            rows = f"row {row} (t={self.time[row]}) follows t={self.time[row - 1]}"
+            if self.time[row] < self.time[row - 1]:
+                remedy = "sort or drop rows, or split the log where another begins"
+                raise InputError(f"time runs backwards: {rows}; {remedy}")
+            raise InputError(f"time must increase strictly: {rows}; sort or drop repeated samples")
+        step = self.duration / (self.samples - 1)
+        if step < SMALLEST_STEP:
+            raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")
+
     def rows(self, chosen: BoolArray) -> Flight:
         """Return the samples (m,) that are chosen, as a flight.
 
         Raises:
             InputError: if they are fewer than three.
         """
-        if chosen.all():
-            return self
-        thrust = None if self.thrust is None else self.thrust[chosen]
-        own = (self.time[chosen], self.position[chosen])
-        if not self.velocity_measured:
-            return Flight.from_positions(*own, self.vehicle, self.flow, thrust, self.frame)
-        return replace(
-            self, time=own[0], position=own[1], velocity=self.velocity[chosen], thrust=thrust
-        )
+        own = {name: getattr(self, name) for name in ("time", "position", "velocity", "thrust")}
+        part = {name: rows[chosen] for name, rows in own.items() if rows is not None}
+        return self if chosen.all() else replace(self, **part)
 
     @property
     def samples(self) -> int:
@@ -140,35 +160,3 @@ def streams(seed: np.random.SeedSequence, count: int) -> Iterator[np.random.Gene
     for child in range(count):
         key = (*seed.spawn_key, child)
         yield np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
-
-
-def _check_rows(time: Array, position: Array, velocity: Array, thrust: Array | None) -> None:
-    """Refuse rows not one per sample, too few, absurdly large, or at times that do not increase."""
-    named = {"time": time, "position": position, "velocity": velocity}
-    for name, values in {**named, **({} if thrust is None else {"thrust": thrust})}.items():
-        large = np.argwhere(np.abs(values) > LARGEST)
-        if len(large):
-            value = f"{values[tuple(large[0])]:g} in row {large[0][0]}"
-            raise InputError(f"{name} is {value}: no flight; change the unit")
-    if thrust is not None and len(thrust) != len(time):
-        words = f"thrust has {len(thrust)} rows for {len(time)} samples"
-        raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
-    counts = (len(time), len(position), len(velocity))
-    if len(set(counts)) != 1:
-        raise InputError(
-            "time, position and velocity must have one row per sample each; "
-            "got {} times, {} positions and {} velocities".format(*counts)
-        )
-    if len(time) < MINIMUM_SAMPLES:
-        raise InputError(f"a flight needs at least {MINIMUM_SAMPLES} samples; got {len(time)}")
-    falls = np.flatnonzero(np.diff(time) <= 0)
-    if len(falls):
-        row = int(falls[0]) + 1
-        rows = f"row {row} (t={time[row]}) follows t={time[row - 1]}"
-        if time[row] < time[row - 1]:
-            remedy = "sort or drop rows, or split the log where another begins"
-            raise InputError(f"time runs backwards: {rows}; {remedy}")
-        raise InputError(f"time must increase strictly: {rows}; sort or drop repeated samples")
-    step = float(time[-1] - time[0]) / (len(time) - 1)
-    if step < SMALLEST_STEP:
-        raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")

@@ -84,16 +84,17 @@ class FlightTable:
         Raises:
             InputError: if there is no vehicle, or the flight is not a valid one.
         """
-        vectors = {
-            names: np.column_stack([self.columns[name] for name in names])
-            for names in (("x", "y"), VELOCITY, PUSH)
+        position, velocity, push = (
+            np.column_stack([self.columns[name] for name in names])
             if names[0] in self.columns
-        }
+            else None
+            for names in (("x", "y"), VELOCITY, PUSH)
+        )
+        assert position is not None
         flown = vehicle_of(self.settings) if vehicle is None else vehicle
-        first, push = (self.columns["time"], vectors["x", "y"]), vectors.get(PUSH)
-        if VELOCITY not in vectors:
-            return Flight.from_positions(*first, flown, self.flow, push, self.frame)
-        return Flight(*first, vectors[VELOCITY], flown, self.flow, True, push, self.frame)
+        speed, measured = (position, False) if velocity is None else (velocity, True)
+        time = self.columns["time"]
+        return Flight(time, position, speed, flown, self.flow, measured, push, self.frame)
 
     def texts(self) -> dict[str, str]:
         """Return the settings as `said` reads them exactly; a flow of a user's own has none."""
