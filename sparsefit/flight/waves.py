@@ -38,7 +38,6 @@ SPECTRA = {  # the power p of a spectrum, and a times the integral length
     "dryden": (5.0 / 2.0, 1.0),
     "von-karman": (7.0 / 3.0, 1.0 / 1.339),
 }
-BANDS = 64
 
 
 class FlowField(Protocol):
@@ -225,21 +224,21 @@ class Turbulence(Flow):
     def waves(self) -> WaveFlow:
         """The waves of the field, two per band of wavenumbers; a stream for each quantity."""
         place, turn, phase, tempo = (np.random.default_rng([self.seed, i]) for i in range(4))
-        power, knee = SPECTRA[self.spectrum]
+        (power, knee), bands = SPECTRA[self.spectrum], 64
         # Less than 1e-4 of the energy is in longer waves, 5 % (von Karman) or 1.5 % in shorter.
-        edges = np.geomspace(0.1 * knee, 100.0, BANDS + 1) / self.length
+        edges = np.geomspace(0.1 * knee, 100.0, bands + 1) / self.length
         c = 1.0 / (1.0 + (edges * self.length / knee) ** 2)
         above = (power - 1.0) * c ** (power - 2.0) - (power - 2.0) * c ** (power - 1.0)
         shares = (above[:-1] - above[1:]) / (above[0] - above[-1])
-        inside = place.random(BANDS)
+        inside = place.random(bands)
         size = edges[:-1] ** (1.0 - inside) * edges[1:] ** inside
         golden = (math.sqrt(5.0) - 1.0) / 2.0
-        heading = math.pi / 2.0 * (turn.random() + golden * np.arange(BANDS))
+        heading = math.pi / 2.0 * (turn.random() + golden * np.arange(bands))
         headings = np.concatenate([heading, heading + math.pi / 2.0])
         sizes = np.tile(size, 2)
         amplitudes = self.intensity * np.sqrt(2.0 * np.tile(shares, 2)) / sizes
-        phases = phase.uniform(0.0, 2.0 * math.pi, 2 * BANDS)
-        rates = tempo.standard_normal(2 * BANDS)
+        phases = phase.uniform(0.0, 2.0 * math.pi, 2 * bands)
+        rates = tempo.standard_normal(2 * bands)
         return WaveFlow(
             sizes[:, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1),
             amplitudes * np.cos(phases),

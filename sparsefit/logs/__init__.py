@@ -14,12 +14,11 @@ if TYPE_CHECKING:
     from sparsefit.logs.files import read_table as read_table
     from sparsefit.logs.files import write_flight as write_flight
 
-_FILES = ("read_flight", "read_table", "write_flight")
 __all__ = ["LogQuality", "check_log", "quality_of", "read_flight", "read_table", "write_flight"]
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = "files" if name in _FILES else "checks"
+    home = "files" if name.endswith(("_flight", "_table")) else "checks"
     return getattr(import_module(f"{__name__}.{home}"), name)

@@ -14,7 +14,6 @@ from sparsefit.flight import Flight
 
 GAP = 4.0  # median steps: a polynomial through the samples carries over less
 ONE_STEP = 1e-6  # relative: what is taken for one and the same step
-CLEAN = 1e-9  # of the extent, or the speed: noise below it is rounding
 
 
 @dataclass(frozen=True)
@@ -60,10 +59,10 @@ class LogQuality:
             gaps = f"{self.gaps} gap{plural} of up to {self.longest_gap:.3g} s"
         scale, unit = (1e3, "km") if max(x, y) >= 1e3 else (1.0, "m")
         sides = f"{x / scale:.3g} × {y / scale:.3g} {unit}"
-        noise = []
-        if self.velocity_noise > CLEAN * self.speed and self.velocity_measured:
+        noise = []  # below 1e-9 of the speed or the extent it is rounding
+        if self.velocity_noise > 1e-9 * self.speed and self.velocity_measured:
             noise.append(f"{self.velocity_noise:.2g} m/s")
-        if self.position_noise > CLEAN * max(x, y):
+        if self.position_noise > 1e-9 * max(x, y):
             noise.append(f"{self.position_noise:.2g} m")
         levels = f"noise {' and '.join(noise)}" if noise else "no noise"
         if not noise and math.isnan(self.position_noise):

@@ -10,8 +10,7 @@ import csv
 import io
 import re
 from array import array
-from collections.abc import Generator
-from contextlib import closing
+from collections.abc import Iterator
 from typing import BinaryIO
 
 import numpy as np
@@ -20,9 +19,7 @@ from sparsefit.errors import InputError
 from sparsefit.logs.flight_table import FlightTable, said
 from sparsefit.logs.layout import Cells, Layout, check_size
 
-_SETTING = re.compile(r"#\s*([A-Za-z_]\w*)\s*=(.*)")
 _LONGEST = 1 << 16  # characters of a line
-_NO_TEXT = "no text in UTF-8; expected CSV with the header time,x,y,vx,vy: save it as UTF-8"
 
 
 def encode(table: FlightTable) -> bytes:
@@ -41,70 +38,59 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
-    ends, settings = 0, list[tuple[str, str, str]]()
+    ends, settings, numbers = 0, list[tuple[str, str, str]](), array("q")
     while block := file.read(_LONGEST):
         ends += max(block.count(b"\n"), block.count(b"\r"))
         check_size(ends - 1)
-    try:
-        with closing(_lines(file, settings)) as lines:
-            _, header = next(lines, (0, ""))
-            best = max(",;\t", key=header.count)
-            delimiter = best if best in header or " " not in header.strip() else " "
-            names = [name.strip() for name in _cells(header, delimiter)] if header else []
-            numbers = array("q")
-
-            def read(wanted: list[str]) -> dict[str, Cells]:
-                texts: dict[str, list[str]] = {name: [] for name in wanted}
-                pairs = [(column.append, names.index(name)) for name, column in texts.items()]
-                for number, line in lines:
-                    cells = _cells(line, delimiter)
-                    if len(cells) != len(names):
-                        words = f"{len(cells)} cells, the header has {len(names)}"
-                        raise InputError(f"line {number} has {words}; repair that line")
-                    numbers.append(number)
-                    for append, place in pairs:
-                        append(cells[place])
-                for name, column in texts.items():  # a comma that parts no cells is a decimal mark
-                    if delimiter != "," and not any("." in cell for cell in column):
-                        texts[name] = [cell.replace(",", ".") for cell in column]
-                return {name: np.array(column, dtype=object) for name, column in texts.items()}
-
-            return layout.flight_table(
-                names,
-                read,
-                lambda row: f"line {numbers[row]}",
-                lambda: said(settings, strict=not layout.sources),
-            )
-    except UnicodeError:
-        raise InputError(_NO_TEXT) from None
-    except csv.Error as error:
-        raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
-
-
-def _lines(file: BinaryIO, settings: list[tuple[str, str, str]]) -> Generator[tuple[int, str]]:
-    """Yield numbers and lines of header and rows; settings are filled on the way.
-
-    A file is read line by line, so that a bomb costs nothing.
-
-    Raises:
-        InputError: where it is no text, or has a line that is too long.
-    """
     file.seek(0)
     text = io.TextIOWrapper(file, "utf-8-sig")
-    try:
+
+    def lines() -> Iterator[tuple[int, str]]:
+        """Yield numbers and lines of header and rows one by one: a bomb costs nothing."""
         for number, line in enumerate(iter(lambda: text.readline(_LONGEST + 1), ""), 1):
             if len(line) > _LONGEST:
-                raise InputError(
-                    f"line {number} is longer than {_LONGEST} characters: not a CSV file; check "
-                    "quotes and line ends"
-                )
+                words = f"line {number} is longer than {_LONGEST} characters: not a CSV file"
+                raise InputError(f"{words}; check quotes and line ends")
             if "\0" in line:
-                raise InputError(_NO_TEXT)
+                raise UnicodeError
             if "#" in line and line.lstrip().startswith("#"):  # others than settings are text
-                if match := _SETTING.fullmatch(line.strip()):
+                if match := re.fullmatch(r"#\s*([A-Za-z_]\w*)\s*=(.*)", line.strip()):
                     settings.append((f"line {number}", match[1], match[2]))
             elif line.strip(",;\t\n "):
                 yield number, line
+
+    def read(wanted: list[str]) -> dict[str, Cells]:
+        texts: dict[str, list[str]] = {name: [] for name in wanted}
+        pairs = [(column.append, names.index(name)) for name, column in texts.items()]
+        for number, line in rows:
+            cells = _cells(line, delimiter)
+            if len(cells) != len(names):
+                words = f"{len(cells)} cells, the header has {len(names)}"
+                raise InputError(f"line {number} has {words}; repair that line")
+            numbers.append(number)
+            for append, place in pairs:
+                append(cells[place])
+        for name, column in texts.items():  # a comma that parts no cells is a decimal mark
+            if delimiter != "," and not any("." in cell for cell in column):
+                texts[name] = [cell.replace(",", ".") for cell in column]
+        return {name: np.array(column, dtype=object) for name, column in texts.items()}
+
+    try:
+        _, header = next(rows := lines(), (0, ""))
+        best = max(",;\t", key=header.count)
+        delimiter = best if best in header or " " not in header.strip() else " "
+        names = [name.strip() for name in _cells(header, delimiter)] if header else []
+        return layout.flight_table(
+            names,
+            read,
+            lambda row: f"line {numbers[row]}",
+            lambda: said(settings, strict=not layout.sources),
+        )
+    except UnicodeError:
+        words = "no text in UTF-8; expected CSV with the header time,x,y,vx,vy: save it as UTF-8"
+        raise InputError(words) from None
+    except csv.Error as error:
+        raise InputError(f"not a CSV file: {error}; check quotes and line ends") from None
     finally:
         text.detach()
 

@@ -38,7 +38,6 @@ KINDS: dict[str, type[Any]] = {
     "waves": WaveFlow,
     "sum": SuperposedFlow,
 }
-LONGEST = 60_000  # characters of a flow: a line of CSV is no longer than 65,536 bytes
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,7 @@ class FlightTable:
             texts |= {name: repr(getattr(self.flow, name)) for name in CELLS}
         elif record := self.flow and _record(self.flow):
             line = json.dumps(finite_or_none(record))
-            texts |= {"flow": line} if len(line) <= LONGEST else {}
+            texts |= {"flow": line} if len(line) <= 60_000 else {}  # a line of CSV is 65,536 bytes
         return texts | ({"frame": self.frame} if self.frame else {})
 
 

@@ -20,8 +20,8 @@ from sparsefit.logs.flight_table import COLUMNS, FlightTable
 from sparsefit.logs.layout import Layout, check_size, moment_at
 from sparsefit.logs.plane import plane_of
 
-TOPIC, LANDED, GPS = "vehicle_local_position", "vehicle_land_detected", "vehicle_gps_position"
-FIELDS = ("x", "y", "vx", "vy")
+TOPIC = "vehicle_local_position"
+FIELDS = COLUMNS[1:]  # of the topic: those of a flight
 
 
 def decode(file: BinaryIO, layout: Layout) -> FlightTable:
@@ -39,7 +39,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         raise MissingExtra("PX4 logs need pyulog: pip install 'sparsefit[logs]'") from None
     try:
         with redirect_stdout(io.StringIO()):  # what pyulog prints is not passed on
-            log = pyulog.ULog(file, [TOPIC, LANDED, GPS])
+            log = pyulog.ULog(file, [TOPIC, "vehicle_land_detected", "vehicle_gps_position"])
     except Exception as error:  # a damaged log may raise anything
         words = str(error)[:100] or type(error).__name__
         raise InputError(f"not a ULog of PX4, or a damaged one: {words}") from None
@@ -53,7 +53,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     valid: BoolArray = np.logical_and.reduce([np.isfinite(local[name]) for name in FIELDS])
     for name in ("xy_valid", "v_xy_valid"):
         valid &= np.asarray(local.get(name, True)) != 0
-    landed = topics.get(LANDED, {}).get("landed")
+    landed = topics.get("vehicle_land_detected", {}).get("landed")
     if not valid.any() or (landed is not None and np.all(landed)):
         words = f"no valid local position in any of {len(valid)} samples"
         raise InputError(
@@ -89,7 +89,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         columns["x"] = columns["x"] + plane.position[0, 1]
         columns["y"] = columns["y"] + plane.position[0, 0]
         origin = layout.origin
-    clock: Any = topics.get(GPS, {})
+    clock: Any = topics.get("vehicle_gps_position", {})
     if np.any(clock.get("time_utc_usec", 0)):  # of the satellites
         row = int(np.argmax(clock["time_utc_usec"] > 0))
         since_boot = int(stamps[0]) - int(clock["timestamp"][row])

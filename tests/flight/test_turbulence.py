@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.flight.waves import BANDS, Turbulence
+from sparsefit.flight.waves import Turbulence
 
 LENGTH, STEP, POINTS = 5.0, 0.5, 2048
 LINE = np.arange(POINTS) * STEP
@@ -81,7 +81,7 @@ def test_a_seed_is_a_field_and_intensity_only_scales_it():
     assert np.abs(Turbulence(1.0, 5.0, seed=4).velocity(LINE, 1.0) - here).max() > 0.5
     twice = Turbulence(2.0, 5.0, seed=3).velocity(LINE, 1.0)
     np.testing.assert_allclose(twice, 2.0 * here, rtol=1e-12, atol=1e-12)
-    assert len(Turbulence(1.0, 5.0).waves.cosine) == 2 * BANDS
+    assert len(Turbulence(1.0, 5.0).waves.cosine) == 128
 
 
 @pytest.mark.parametrize(
