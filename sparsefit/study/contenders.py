@@ -232,7 +232,7 @@ def _read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemS
     sources: list[ProblemSource] = []
     for number, entry in enumerate(entries(document, "problems", place)):
         try:
-            sources += _read_problem(entry, document, seed + number, here)
+            sources += _read_problem(entry, document, seed, number, here)
         except InputError as error:
             faults.append(str(error))
     if faults:
@@ -242,13 +242,15 @@ def _read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemS
 
 
 def _read_problem(
-    entry: Section, document: Section, seed: int, place: Place
+    entry: Section, document: Section, seed: int, place_in_file: int, place: Place
 ) -> Iterator[ProblemSource]:
     """The problems of one entry, each as it is or altered."""
+    seed += place_in_file
     kinds = [kind for kind in KINDS if kind in entry]
     if len(kinds) != 1:
         have = " and ".join(kinds) or "none"
-        raise place.error(f"each needs exactly one of {', '.join(KINDS)}, one has {have}")
+        which = f'"{entry["name"]}"' if "name" in entry else f"entry {place_in_file + 1}"
+        raise place.error(f"each needs exactly one of {', '.join(KINDS)}; {which} has {have}")
     (kind,) = kinds
     only(entry, (kind, "name", "alter", *KINDS[kind]), place)
     keys, rest = taken(ProblemKeys, entry, place)

@@ -14,9 +14,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
-from sparsefit.codec import Place, integer, only
-from sparsefit.errors import InputError, one_of
+from sparsefit.codec import Place, integer, only, shown
+from sparsefit.errors import InputError, one_of, suggestion
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
 from sparsefit.study.crossing import (
     SECTION_KEYS,
@@ -40,6 +41,7 @@ from sparsefit.study.keys import (
     RunRule,
     SelectionRule,
     Split,
+    StudyKind,
 )
 from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import (
@@ -128,7 +130,12 @@ def read_definition(path: str | Path) -> Definition:
 def definition_of(document: Section, path: str) -> Definition:
     """The study of these tables; files that it names lie beside ``path``."""
     place = Place(path)
-    flown = document.get("kind", "flights") not in ("problems", "solvers")
+    kind, kinds = document.get("kind", "flights"), get_args(StudyKind)
+    if kind not in kinds:
+        raise place.at("kind").error(
+            f"has unknown value {shown(kind)}{suggestion(str(kind), kinds)}"
+        )
+    flown = kind == "flights"
     sections = FLIGHT_SECTIONS if flown else (*names_of(ProblemRules), *PROBLEM_SECTIONS)
     only(document, (*names_of(Heading), *sections), place)
     heading, _ = taken(Heading, document, place)
@@ -142,8 +149,8 @@ def definition_of(document: Section, path: str) -> Definition:
     if outputs.script and not (Path(path).parent / outputs.script).is_file():
         words = f'"{outputs.script}": no such file beside {Path(path).name}'
         raise here.at("script").error(words)
-    shown = str((outputs.tables, outputs.figures, outputs.headline))
-    if flown and not run.prediction_flights and "prediction-error" in shown:
+    words = str((outputs.tables, outputs.figures, outputs.headline))
+    if flown and not run.prediction_flights and "prediction-error" in words:
         # All its cases would count as failures.
         words = "missing: prediction-error needs other flights to predict along, 2 say"
         raise place.within("run").at("prediction_flights").error(words)
@@ -213,7 +220,8 @@ def keys_of(section: str) -> dict[str, str]:
     """
     one_of("section", section, OWN)
     words = {name: text for kind in OWN[section] for name, text in sentences(kind).items()}
-    more = {**SECTION_KEYS, "study": FLIGHT_SECTIONS, "solvers": PROBLEM_SECTIONS}
+    every = tuple(dict.fromkeys((*FLIGHT_SECTIONS, *PROBLEM_SECTIONS)))
+    more = {**SECTION_KEYS, "study": every, "solvers": PROBLEM_SECTIONS}
     words = {name: words.get(name, "") for name in (*words, *more.get(section, ()))}
     if section == "flights":
         rows = {name: described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()}

@@ -29,6 +29,7 @@ PROBLEM_SECTIONS = ("path", "clock", "problems", "backends", "solvers", "flights
                     "derivative", "library", "run", "select", "outputs")  # fmt: skip
 MOST_VALUES = 128_000_000  # numbers in a regression problem: a gigabyte
 COUNTED = Range(least=0, most=100_000)
+StudyKind: TypeAlias = Literal["flights", "problems", "solvers"]
 Three: TypeAlias = tuple[float, float, float]
 DataSet: TypeAlias = Literal["diabetes", "diabetes-quadratic", "linnerud", "digits", "iris", "wine",
                              "breast-cancer"]  # fmt: skip
@@ -41,8 +42,8 @@ class Heading:
 
     name: str = key("Of the study and its folder of results: 1 to 64 of `a-z`, `0-9`, `_`, `-`.")
     question: str = key("The one question that the study asks, as its page shows it.")
-    kind: Literal["flights", "problems", "solvers"] = key(
-        "Flights, regression problems, or times to a certificate alone.", "flights"
+    kind: StudyKind = key(
+        '`"flights"`; `"problems"`, of regression; `"solvers"`, of those by time alone.', "flights"
     )
     seed: int = key("Whole number that decides everything random.", 0)
 

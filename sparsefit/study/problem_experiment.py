@@ -69,11 +69,13 @@ class ProblemExperiment(Experiment):
         """Every contender at each of its tolerances."""
         pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
         identities = self.design.cell_identities()
-        several = len({contender.objective for contender, _ in pairs}) > 1
+        solvers = {(contender.objective, contender.solver) for contender, _ in pairs}
+        several = len({objective for objective, _ in solvers})
+        apart = several == len(solvers)  # each objective has one solver
         return {
             "condition": [""] * len(pairs),
             "candidate": [digest(name)[:12] for name in identities],
-            "title": [_title(contender, stop, several) for contender, stop in pairs],
+            "title": [_title(contender, stop, several > 1, apart) for contender, stop in pairs],
             "objective": [contender.objective for contender, _ in pairs],
             "label": [contender.objective for contender, _ in pairs],
             "backend": [contender.backend for contender, _ in pairs],
@@ -165,8 +167,10 @@ def timed_on() -> dict[str, object]:
     return {"processor": processor(), "processors": os.cpu_count(), "versions": versions() | peers}
 
 
-def _title(contender: Contender, stop: float, several: bool) -> str:
-    words = [f"{contender.objective}, {contender.solver}" if several else contender.solver]
+def _title(contender: Contender, stop: float, several: bool, apart: bool) -> str:
+    words = [contender.objective if apart else contender.solver]
+    if several and not apart:
+        words = [f"{contender.objective}, {contender.solver}"]
     if len(contender.tolerances) > 1:
         words.append(f"at {stop:g}")
     return " ".join(words)

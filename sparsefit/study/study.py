@@ -12,6 +12,7 @@ Results lie beside the study file unless said: `studies/mine.toml` has `results/
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 RESULTS, STUDIES = "results", "studies"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Study:
     """A study file and its results folder; made by `from_file` or `from_mapping`."""
 
@@ -81,6 +82,12 @@ class Study:
         definition = definition_of(document, str(Path(folder) / "study"))
         home = Path(results) if results is not None else Path(folder) / RESULTS
         return cls(definition, home / definition.name)
+
+    def __repr__(self) -> str:
+        cases = f"{self.planned.size} cases"
+        with suppress(InputError):  # of damaged results
+            cases = f"{self.status().done} of {cases}"
+        return f"Study({self.name!r}, {self.kind}, {cases}, in {str(self.folder)!r})"
 
     @property
     def name(self) -> str:
