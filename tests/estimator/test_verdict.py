@@ -75,6 +75,26 @@ def test_a_noisy_flight_within_one_cell_is_flagged():
         assert found.reason or right
 
 
+def test_a_rival_that_explains_a_short_flight_as_well_is_told():
+    flow = sf.flows.ShapedCells(9.8, (5.89, 6.77), heading=1.3)
+    flight = sf.simulate_flight(
+        flow,
+        sf.PointMassVehicle(0.5, (4.0, 2.0)),
+        duration=3.0,
+        sample_rate=50.0,
+        velocity_noise=0.4,
+        position_noise=0.1,
+        initial_position=(0.8, 1.0),
+        seed=48,
+    )
+    found = estimate(flight)
+    assert found.doubt is Doubt.RIVAL
+    # The likelier is wrong and the rival near the truth; both are in the reason.
+    assert found.length_scale == pytest.approx(4.2, abs=0.1)
+    assert found.rival_length_scale == pytest.approx(6.5, abs=0.1)
+    assert f"{found.rival_length_scale:.3g} m (shape" in found.reason
+
+
 @pytest.mark.parametrize("samples", [3, 5, 12, 18, 21])  # up to 20 of Phi
 def test_a_handful_of_samples_tells_nothing(samples):
     whole = flown()
