@@ -3,7 +3,7 @@
 The columns of the largest |Z'Y| are in play at first. A kernel follows the path on these; the
 correlations of all columns with the residuals of several penalties, in one product, tell the first
 penalty at which a column outside objects. The path goes on from the penalty before it, with those
-columns, and no more than half as many as there are (block descent takes as many, near ones too).
+columns, and no more than half as many as there are (of groups as many, near ones too).
 Where the columns are few, all of them are in play, and Z'Z is formed once for all targets.
 
 The square-root loss has the conditions of the squares with the penalty t = a rho/y, rho the
@@ -26,7 +26,6 @@ from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import (
     BEGIN,
     KERNELS,
-    MANY,
     OnColumns,
     Points,
     Units,
@@ -40,7 +39,7 @@ FEW = 600  # columns that are all in play at once
 START = 200  # columns in play at first
 SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
 AHEAD = 8  # penalties that are solved before all columns are asked
-NEAR = 0.1  # below alpha, where columns join block descent, which extra ones cost little
+NEAR = 0.1  # below alpha, where groups join that do not object yet
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
 IN_ROWS = ("newton", "block descent")  # kernels that need no G where columns are more than rows
 HELD = 2**25  # entries of the columns in play that are held as rows beside their products
@@ -248,9 +247,9 @@ def _with_working_set(
         on = OnColumns(play.normal, play.cross, part, units)
         stretch = KERNELS[name](on, here, attempts)
         in_use = int(stretch.values.any(axis=2).any(axis=0).sum())
-        if name == "variational" and 2 * in_use > m >= MANY and m * k <= HELD:
+        if name == "variational" and 3 * in_use > m and m * k <= HELD:
             name = "block descent"
-        near = NEAR if name == "block descent" else 0.0
+        near = NEAR if name in ("variational", "block descent") else 0.0
         accepted, new = _objections(play, penalty, here, stretch.values, near)
         until = done + accepted
         weights[done:until, play.index] = play.back(stretch.values[:accepted])
@@ -261,7 +260,7 @@ def _with_working_set(
         attempts |= dict(zip(here.tolist(), stretch.values, strict=True))
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
-        if near and not isinstance(play, Turned):
+        if name == "block descent" and not isinstance(play, Turned):
             before = np.concatenate([play.index, new])
             turned = play = Turned.of(play, penalty.blocks, new, cross)
             order = np.argsort(before)[np.argsort(np.argsort(turned.index))]

@@ -31,7 +31,6 @@ from sparsefit.solvers.newton import (
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 DESCENDED = 1e-9  # that of descent, which converges linearly
 EXTRAPOLATED = 5  # sweeps that descent extrapolates from
-MANY = 300  # rows, from which on descent is faster where half as many columns are in use
 MOST = 300  # sweeps at one penalty, before the variances take over
 CLUSTERED, SWEEPS = 500, 30  # rounds for clusters at one penalty, and the most sweeps of one
 ALIKE = 20  # rounds, after which the optimum of each face is taken, as columns are too much alike
