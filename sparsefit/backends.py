@@ -7,9 +7,7 @@ cannot be loaded is listed with its error and raises it when asked for, it does 
 import warnings
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from functools import cache
 from importlib import import_module
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -17,7 +15,7 @@ import numpy as np
 from sparsefit.errors import InputError, is_integer, unknown
 from sparsefit.regression import fit as certified
 from sparsefit.regression.answer import Fit, Path
-from sparsefit.regression.backend import Backend, Solution, imported, made, settings_of
+from sparsefit.regression.backend import Backend, Solution, imported, made, plugins, settings_of
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import path as certified_path
 from sparsefit.regression.penalty_choice import FRACTIONS
@@ -26,55 +24,34 @@ from sparsefit.regression.problem import RegressionProblem
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = [
-    "BACKENDS",
-    "PUBLIC",
-    "Backend",
-    "Solution",
-    "distribution",
-    "fit",
-    "get",
-    "known",
-    "load",
-    "named",
-    "path",
-    "settings_of",
-]
-
-FEWEST_CLASSES = 20  # samples of 0 and 1 from which these are taken for classes
-BACKENDS: Mapping[str, str] = MappingProxyType(
-    {
-        "least-squares": "sparsefit.solvers.least_squares:LeastSquares",
-        "stlsq": "sparsefit.solvers.least_squares:STLSQ",
-        "lasso": "sparsefit.solvers.penalised:Lasso",
-        "group-lasso": "sparsefit.solvers.penalised:GroupLasso",
-        "sparse-group-lasso": "sparsefit.solvers.penalised:SparseGroupLasso",
-        "adaptive-lasso": "sparsefit.solvers.penalised:AdaptiveLasso",
-        "adaptive-group-lasso": "sparsefit.solvers.penalised:AdaptiveGroupLasso",
-        "group-mcp": "sparsefit.solvers.group_mcp:GroupMCP",
-        "square-root-lasso": "sparsefit.solvers.penalised:SquareRootLasso",
-        "huber-lasso": "sparsefit.solvers.penalised:HuberLasso",
-        "slope": "sparsefit.solvers.penalised:Slope",
-        "fused-lasso": "sparsefit.solvers.penalised:FusedLasso",
-        "elastic-net": "sparsefit.solvers.penalised:ElasticNet",
-        "ridge": "sparsefit.solvers.penalised:Ridge",
-        "group-omp": "sparsefit.solvers.searches:GroupOMP",
-        "best-scale": "sparsefit.solvers.searches:BestScale",
-    }
-)
+__all__ = ["BACKENDS", "PUBLIC", "Backend", "Solution", "distribution", "fit", "get", "known",
+           "load", "named", "path", "settings_of"]  # fmt: skip
+BACKENDS: Mapping[str, str] = {
+    "least-squares": "sparsefit.solvers.least_squares:LeastSquares",
+    "stlsq": "sparsefit.solvers.least_squares:STLSQ",
+    "lasso": "sparsefit.solvers.penalised:Lasso",
+    "group-lasso": "sparsefit.solvers.penalised:GroupLasso",
+    "sparse-group-lasso": "sparsefit.solvers.penalised:SparseGroupLasso",
+    "adaptive-lasso": "sparsefit.solvers.penalised:AdaptiveLasso",
+    "adaptive-group-lasso": "sparsefit.solvers.penalised:AdaptiveGroupLasso",
+    "group-mcp": "sparsefit.solvers.group_mcp:GroupMCP",
+    "square-root-lasso": "sparsefit.solvers.penalised:SquareRootLasso",
+    "huber-lasso": "sparsefit.solvers.penalised:HuberLasso",
+    "slope": "sparsefit.solvers.penalised:Slope",
+    "fused-lasso": "sparsefit.solvers.penalised:FusedLasso",
+    "elastic-net": "sparsefit.solvers.penalised:ElasticNet",
+    "ridge": "sparsefit.solvers.penalised:Ridge",
+    "group-omp": "sparsefit.solvers.searches:GroupOMP",
+    "best-scale": "sparsefit.solvers.searches:BestScale",
+}
 """The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""
 
-PUBLIC: Mapping[str, str] = MappingProxyType({"pysindy": "sparsefit.solvers.least_squares:PySindy"})
+PUBLIC: Mapping[str, str] = {"pysindy": "sparsefit.solvers.least_squares:PySindy"}
 """Back-ends that are another package's, behind an adapter here; they need the extra ``peers``."""
 
 
-@cache
 def _plugins() -> "Mapping[str, EntryPoint]":
-    from importlib.metadata import entry_points  # of no use to our own back-ends, and slow
-
-    listed = entry_points(group="sparsefit.backends")
-    ours = {*BACKENDS, *PUBLIC}
-    return MappingProxyType({entry.name: entry for entry in listed if entry.name not in ours})
+    return plugins("sparsefit.backends", (*BACKENDS, *PUBLIC))
 
 
 def known() -> tuple[str, ...]:
@@ -191,10 +168,7 @@ def _posed(
     if settings and not isinstance(backend, str):
         raise InputError(f'{verb}: settings go with a back-end\'s name: {verb}(..., "lasso", ...)')
     values = np.unique(problem.target[:1000])
-    if np.array_equal(values, [0.0, 1.0]) and len(problem.target) >= FEWEST_CLASSES:
-        warnings.warn(
-            "the target holds 0 and 1 only: it is fitted by squares, as numbers, not as classes",
-            UserWarning,
-            stacklevel=3,
-        )
+    if np.array_equal(values, [0.0, 1.0]) and len(problem.target) >= 20:
+        words = "the target holds 0 and 1 only: it is fitted by squares, as numbers, not as classes"
+        warnings.warn(words, UserWarning, stacklevel=3)
     return problem, get(backend, **settings) if isinstance(backend, str) else named(backend)

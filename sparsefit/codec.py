@@ -13,23 +13,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from sparsefit.errors import (
-    LONGEST,
-    InputError,
-    is_integer,
-    is_number,
-    is_real,
-    one_line,
-    suggestion,
-)
+from sparsefit.errors import LONGEST, InputError, is_integer, is_number, one_line, suggestion
+from sparsefit.errors import shown as shown
 
 Record = TypeVar("Record")
-CONTROL = ("Cc", "Cs", "Zl", "Zp")  # no terminal, SVG or table line survives these
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a value stands: file, section and key; `via` tells which override put it there."""
+    """The place of a value: file, section and key; `via` tells which override put it there."""
 
     file: str
     section: str = ""
@@ -77,15 +69,11 @@ def made(kind: type[Record], values: Mapping[str, Any], place: Place) -> Record:
         raise place.error(str(error)) from None
 
 
-def plain(record: object) -> dict[str, Any]:
+def plain(record: Any) -> Any:
     """The fields of a dataclass by name, JSON-ready: nested ones as dicts, no numpy scalars."""
-    return {field.name: _plain(getattr(record, field.name)) for field in fields(cast(Any, record))}
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value):
-        return plain(value)
-    return value.item() if hasattr(value, "item") else value  # what numpy's scalars have
+    if is_dataclass(record):
+        return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
+    return record.item() if hasattr(record, "item") else record  # what numpy's scalars have
 
 
 def finite_or_none(value: Any) -> Any:
@@ -113,7 +101,7 @@ def text(value: object, place: Place) -> str:
         raise place.error(f"must be text in quotes, not {shown(value)}")
     if not value.strip() or "\n" in value:
         raise place.error("must be one non-empty line of text")
-    if any(unicodedata.category(one) in CONTROL for one in value):
+    if {"Cc", "Cs", "Zl", "Zp"} & set(map(unicodedata.category, value)):  # no table survives these
         raise place.error(f"must not hold control characters: {shown(value)}")
     return value
 
@@ -127,26 +115,18 @@ def mapping(value: object, place: Place) -> Mapping[str, object]:
 
 def number(value: object, place: Place) -> float:
     """A finite number; a boolean is none."""
-    if not is_real(value):
-        raise place.error(f"must be a number, not {shown(value)}")
     if not is_number(value):
-        raise place.error(f"must be a finite number, not {shown(value)}")
+        kind = "a finite number" if isinstance(value, float | int) else "a number"
+        raise place.error(f"must be {kind}, not {shown(value)}")
     return float(value)
 
 
 def integer(value: object, place: Place, *, least: float = -math.inf) -> int:
     """A whole number of at least `least`; a boolean is none."""
-    if not is_integer(value):
-        raise place.error(f"must be a whole number, not {shown(value)}")
     if not is_integer(value, least):
-        raise place.error(f"must be at least {least}, not {value}")
+        small = f"at least {least}, not {value}" if is_integer(value) else ""
+        raise place.error(f"must be {small or f'a whole number, not {shown(value)}'}")
     return value
-
-
-def shown(value: object) -> str:
-    """A value as it appears in a message: short, on one line."""
-    words = " ".join(repr(value).split())
-    return words if len(words) <= 60 else words[:57] + "..."
 
 
 def _fitted(value: object, hint: Any, place: Place) -> object:
@@ -156,7 +136,11 @@ def _fitted(value: object, hint: Any, place: Place) -> object:
             return None
         (hint, *_) = [option for option in get_args(hint) if option is not type(None)]
     if get_origin(hint) is Literal:
-        return _one_of(value, get_args(hint), place)
+        if value in (options := get_args(hint)) and not isinstance(value, bool):
+            return value
+        known = [str(option) for option in options]
+        near = suggestion(value, known) if isinstance(value, str) else suggestion("", known)
+        raise place.error(f"has unknown value {shown(value)}{near}")
     if hint is float:
         return number(value, place)
     if hint is int:
@@ -164,7 +148,13 @@ def _fitted(value: object, hint: Any, place: Place) -> object:
     if hint is str:
         return text(value, place)
     if get_origin(hint) is tuple:
-        return _tuple(value, get_args(hint), place)
+        items = list(value) if isinstance(value, list | tuple) else [value]  # one needs no list
+        hints = get_args(hint)
+        if hints[-1] is ...:
+            hints = hints[:1] * len(items)
+        if len(items) != len(hints):
+            raise place.error(f"must be {len(hints)} values in a list, not {shown(value)}")
+        return tuple(_fitted(item, kind, place) for item, kind in zip(items, hints, strict=True))
     if get_origin(hint) is Mapping:
         _, item = get_args(hint)
         return {str(key): _fitted(one, item, place) for key, one in mapping(value, place).items()}
@@ -175,21 +165,3 @@ def _fitted(value: object, hint: Any, place: Place) -> object:
         kind = "true or false" if hint is bool else hint.__name__
         raise place.error(f"must be {kind}, not {shown(value)}")
     return value
-
-
-def _tuple(value: object, hints: tuple[Any, ...], place: Place) -> tuple[object, ...]:
-    """Items of one type, as many as there are, or of the types listed; one alone needs no list."""
-    items = list(value) if isinstance(value, list | tuple) else [value]
-    if hints[-1] is ...:
-        return tuple(_fitted(item, hints[0], place) for item in items)
-    if len(items) != len(hints):
-        raise place.error(f"must be {len(hints)} values in a list, not {shown(value)}")
-    return tuple(_fitted(item, hint, place) for item, hint in zip(items, hints, strict=True))
-
-
-def _one_of(value: object, options: tuple[object, ...], place: Place) -> object:
-    if value in options and not isinstance(value, bool):
-        return value
-    known = [str(option) for option in options]
-    near = suggestion(value, known) if isinstance(value, str) else f" (known: {', '.join(known)})"
-    raise place.error(f"has unknown value {shown(value)}{near}")

@@ -36,21 +36,14 @@ class MissingExtra(SparsefitError, ImportError):  # noqa: N818 - says what is th
 
 @contextmanager
 def told_with(place: object) -> Iterator[None]:
-    """Put ``place: `` (a file, say) before the message of an `InputError` raised inside."""
+    """Put ``place: `` (a file, say) before the message of an `InputError` raised inside.
+
+    Nothing is put where the place is empty.
+    """
     try:
         yield
     except InputError as error:
-        raise InputError(f"{place}: {error}") from None
-
-
-@contextmanager
-def told_of(what: str, number: int, count: int) -> Iterator[None]:
-    """`told_with` for one of several, ``flight 2: `` say; one that is alone has no place."""
-    if count == 1:
-        yield
-        return
-    with told_with(f"{what} {number}"):
-        yield
+        raise InputError(f"{place}: {error}" if place else str(error)) from None
 
 
 def one_line(text: str, most: int = sys.maxsize) -> str:
@@ -74,8 +67,10 @@ def described(error: BaseException, most: int = 500) -> str:
 
 def suggestion(name: str, valid: Iterable[str]) -> str:
     """Return ``: did you mean "x"?`` or, where no valid name is near, ``(known: x, y)``."""
-    known = sorted(valid)
-    return _did_you_mean(name, known) or f" (known: {', '.join(known)})"
+    by_folded = {candidate.casefold(): candidate for candidate in valid}
+    near = get_close_matches(name.casefold(), by_folded, n=1)
+    known = f" (known: {', '.join(sorted(by_folded.values()))})"
+    return f': did you mean "{by_folded[near[0]]}"?' if near else known
 
 
 def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> InputError:
@@ -84,8 +79,9 @@ def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> 
     listed: where they stand, if they are too many for a line.
     """
     known = list(valid)
-    hint = _did_you_mean(str(name), known)
+    near = suggestion(str(name), known)
     every = f"listed in {listed}" if listed else f"known: {', '.join(known)}"
+    hint = near if near.startswith(":") else ""
     return InputError(f'unknown {kind} "{one_line(str(name), LONGEST)}"{hint} ({every})')
 
 
@@ -94,12 +90,6 @@ def one_of(kind: str, value: object, valid: Iterable[str], listed: str = "") -> 
     known = tuple(valid)
     if not isinstance(value, str) or value not in known:
         raise unknown(kind, str(value), known, listed)
-
-
-def _did_you_mean(name: str, valid: Iterable[str]) -> str:
-    by_folded = {candidate.casefold(): candidate for candidate in valid}
-    near = get_close_matches(name.casefold(), by_folded, n=1)
-    return f': did you mean "{by_folded[near[0]]}"?' if near else ""
 
 
 def is_real(value: object) -> TypeGuard[float]:
@@ -125,26 +115,34 @@ def is_integer(
     return least <= int(value) <= most and not (odd and int(value) % 2 == 0)
 
 
-def finite(name: str, value: object, unit: str = "") -> float:
-    """Return ``value`` as a float, or raise `InputError` unless it is one finite real number."""
-    return _quantity(name, value, is_number(value), "", unit)
+def finite(
+    name: str, value: object, unit: str = "", low: float = -math.inf, which: str = ""
+) -> float:
+    """Return ``value`` as a float, or raise `InputError` unless it is one finite real number.
+
+    low: the least, which ``which`` says in words.
+    """
+    if not is_number(value, low):
+        words = f"{name} must be a finite number{which}{_in(unit)}"
+        raise InputError(f"{words}; got {shown(value)}")
+    return _real(value)
 
 
 def positive(name: str, value: object, unit: str = "") -> float:
     """Return ``value`` as a float, or raise `InputError` unless it is finite and > 0."""
-    return _quantity(name, value, is_number(value, 0.0, open_low=True), " above 0", unit)
+    return finite(name, value, unit, math.nextafter(0.0, 1.0), " above 0")
 
 
 def non_negative(name: str, value: object, unit: str = "") -> float:
     """Return ``value`` as a float, or raise `InputError` unless it is finite and >= 0."""
-    return _quantity(name, value, is_number(value, 0.0), ", 0 or above", unit)
+    return finite(name, value, unit, 0.0, ", 0 or above")
 
 
 def pair(name: str, value: object, unit: str = "") -> tuple[float, float]:
     """Return ``value`` as two floats, or raise `InputError` unless it is two finite numbers."""
     items = getattr(value, "tolist", lambda: value)()  # what an array holds
     if not isinstance(items, tuple | list) or len(items) != 2:
-        raise InputError(f"{name} must be two numbers, (x, y){_in(unit)}; got {_shown(value)}")
+        raise InputError(f"{name} must be two numbers, (x, y){_in(unit)}; got {shown(value)}")
     return finite(f"{name}[0]", items[0], unit), finite(f"{name}[1]", items[1], unit)
 
 
@@ -152,7 +150,7 @@ def integer(name: str, value: int, least: int, *, odd: bool = False) -> int:
     """Return ``value`` as an int, or raise `InputError` unless it is an (odd) integer >= least."""
     if not is_integer(value, least, odd=odd):
         kind = "an odd integer" if odd else "an integer"
-        raise InputError(f"{name} must be {kind}, {least} or above; got {_shown(value)}")
+        raise InputError(f"{name} must be {kind}, {least} or above; got {shown(value)}")
     return int(value)
 
 
@@ -179,29 +177,18 @@ def number_setting(
 
     Its ``meaning``, where given, ends the message.
     """
-    if is_number(value, low, high, open_low=open_low):
-        return
-    bracket = "(" if open_low else "["
-    upper = f"{high:g}]" if math.isfinite(high) else "inf)"
-    raise InputError(
-        f"{owner}: {name} must be a number in {bracket}{low:g}, {upper}, not {_shown(value)}"
-        + (f"; {meaning}" if meaning else "")
-    )
+    if not is_number(value, low, high, open_low=open_low):
+        limits = f"{'(' if open_low else '['}{low:g}, {high:g}{']' if high < math.inf else ')'}"
+        words = f"{owner}: {name} must be a number in {limits}, not {shown(value)}"
+        raise InputError(f"{words}; {meaning}" if meaning else words)
 
 
-def _quantity(name: str, value: object, good: bool, which: str, unit: str) -> float:
-    if not good:
-        raise InputError(f"{name} must be a finite number{which}{_in(unit)}; got {_shown(value)}")
-    return _real(value)
-
-
-def _shown(value: object) -> str:
-    """A value on one line, cut where it is long."""
+def shown(value: object) -> str:
+    """A value as it appears in a message: on one line, cut where it is long."""
     try:
-        text = one_line(repr(value))
+        return one_line(repr(value), LONGEST)
     except ValueError:  # Python writes no integer of more than 4300 digits
-        text = "a number of more than 4300 digits"
-    return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
+        return "a number of more than 4300 digits"
 
 
 def _real(value: object) -> float:

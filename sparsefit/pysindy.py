@@ -34,8 +34,7 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
     Parameters
     ----------
     backend : str or back-end, default="stlsq"
-        A name, with its default settings, or what ``sparsefit.backends.get(name, **settings)``
-        returns. The name ``stlsq`` is PySINDy's own STLSQ with PySINDy's defaults: threshold 0.1
+        As of `SparseRegressor`; ``stlsq`` is PySINDy's own with PySINDy's defaults: threshold 0.1
         and ridge 0.05 on columns as they are. A back-end of groups, such as ``group-lasso``, keeps
         or drops a term for all states.
     groups : array-like of shape (n_library_terms,), default=None
@@ -48,9 +47,8 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
 
     Attributes
     ----------
-    coef_ : (n_states, n_library_terms), as of every optimizer.
-    status_, reason_, certificate_, solver_status_ : as of `SparseRegressor`.
-    alpha_fraction_ : the penalty used, where the back-end has one.
+    coef_ : (n_states, n_library_terms); status_, reason_, certificate_, solver_status_ and, where
+        there is a penalty, alpha_fraction_ are as of `SparseRegressor`.
     """
 
     def __init__(
@@ -75,11 +73,11 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
             fit_intercept=False,
             certificate_tolerance=self.certificate_tolerance,
         ).fit(np.asarray(x), np.asarray(y))
-        self.coef_ = regressor.coef_
+        for name in ("coef_", "status_", "reason_", "certificate_", "solver_status_"):
+            setattr(self, name, getattr(regressor, name))
         self.history_.append(self.coef_)
-        for name in ("status_", "reason_", "certificate_", "solver_status_", "alpha_fraction_"):
-            if hasattr(regressor, name):
-                setattr(self, name, getattr(regressor, name))
+        if hasattr(regressor, "alpha_fraction_"):
+            self.alpha_fraction_ = regressor.alpha_fraction_
 
     def __str__(self) -> str:
         """The parameters, and after a fit its status with what that does and does not say."""

@@ -37,12 +37,7 @@ except ImportError as error:
 NAMED = {home.partition(":")[2]: name for name, home in BACKENDS.items()}
 """Regressor -> the back-end whose settings are its parameters."""
 __all__ = ["FitFailed", "SparseRegressor", *NAMED]
-CONSTANT = 16.0 * float(np.finfo(float).eps)  # what rounding leaves of a constant, relative
-SHARED: dict[str, Any] = {
-    "groups": None,
-    "fit_intercept": True,
-    "certificate_tolerance": TOLERANCE,
-}
+SHARED: dict[str, Any] = {"groups": None, "fit_intercept": True, "certificate_tolerance": TOLERANCE}
 """The parameters that every regressor has, beside those of its back-end."""
 
 
@@ -101,17 +96,9 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         where the back-end has no answer, and InputError on settings that are out of range; both
         are ValueError.
         """
-        backend = self._backend()
-        design, target = validate_data(
-            self,
-            X,
-            y,
-            accept_sparse=self._formats,
-            dtype=np.float64,
-            multi_output=True,
-            y_numeric=True,
-            ensure_min_samples=2 if self.fit_intercept else 1,
-        )
+        backend, least = self._backend(), 2 if self.fit_intercept else 1
+        checks = {"accept_sparse": self._formats, "dtype": np.float64, "ensure_min_samples": least}
+        design, target = validate_data(self, X, y, multi_output=True, y_numeric=True, **checks)
         samples, columns = design.shape
         weight = np.ones(samples)
         if sample_weight is not None:
@@ -121,29 +108,24 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
             if weight.shape != (samples,) or np.any(weight < 0) or not weight.any():
                 words = f"sample_weight must have {samples} numbers, none negative and not all zero"
                 raise InputError(f"{words}, not the shape {weight.shape}")
-        groups = np.arange(columns) if self.groups is None else np.asarray(self.groups)
-        if groups.shape != (columns,):
-            words = f"groups must have one label per column: X has {columns} columns"
-            raise InputError(f"{words}, groups the shape {groups.shape}")
-        names = np.array(getattr(self, "feature_names_in_", [f"x{i}" for i in range(columns)]))
-        values = target.astype(np.float64).reshape(samples, -1)
-        varies = _varying(design[weight > 0], centred=self.fit_intercept)
-        labels = (groups[varies], names[varies].tolist())
-        mean, level = np.zeros(columns), np.zeros(values.shape[1])
+        counted = weight > 0
+        weight, design = weight[counted], design[counted]
+        values = target.astype(np.float64).reshape(samples, -1)[counted]
+        varies = _varying(design, centred=self.fit_intercept)
+        names = getattr(self, "feature_names_in_", [f"x{i}" for i in range(columns)])
+        layout: dict[str, Any] = {"groups": self.groups, "names": list(names), "partial": True}
+        mean, level, unit = np.zeros(columns), np.zeros(values.shape[1]), 1.0
         if issparse(design):  # it stays as it is: means and roots of weights are in its sums
-            used: Any = design if varies.all() else cast(Any, design)[:, varies]
-            problem = RegressionProblem.from_arrays(
-                used, values, *labels, sample_weight=weight, intercept=self.fit_intercept
-            )
-            mean[varies] = problem.means
-            level = problem.intercept_of(np.zeros((len(problem.names), len(level))))
+            shared: dict[str, Any] = {"sample_weight": weight, "intercept": self.fit_intercept}
+            problem = RegressionProblem.from_arrays(design, values, **shared, **layout)
+            mean, level = problem.means, problem.intercept_of(np.zeros((columns, len(level))))
+            unit = float(np.sqrt(weight.mean()))  # weights have a mean of 1 in there
         else:
             if self.fit_intercept:
                 mean, level = (np.average(v, axis=0, weights=weight) for v in (design, values))
-            root = np.sqrt(weight[weight > 0])[:, None]
-            theta, rest = (design[weight > 0] - mean) * root, (values[weight > 0] - level) * root
-            used = theta if varies.all() else theta[:, varies]
-            problem = RegressionProblem.from_arrays(used, rest, *labels)
+            root = np.sqrt(weight)[:, None]
+            theta = (design - mean) * (root * varies)
+            problem = RegressionProblem.from_arrays(theta, (values - level) * root, **layout)
         fitted = certified(problem, backend, tolerance=self.certificate_tolerance)
         words = f"{fitted.status}: {fitted.reason}"
         if not np.isfinite(fitted.weights).all():
@@ -151,8 +133,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         if fitted.status != "ok":
             words = f"{backend.name} is not certified, {words}"
             warnings.warn(words, ConvergenceWarning, stacklevel=2)
-        coefficients = np.zeros((values.shape[1], columns))
-        coefficients[:, varies] = fitted.weights.T
+        coefficients = fitted.weights.T * varies
         intercept = level - coefficients @ mean
         self.coef_ = coefficients if target.ndim == 2 else coefficients[0]
         self.intercept_ = intercept if target.ndim == 2 else float(intercept[0])
@@ -160,8 +141,6 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         self.certificate_, self.solver_status_ = fitted.certificate, fitted.solver_status
         self.n_iter_ = fitted.iterations
         if hasattr(fitted.backend, "alpha_fraction"):
-            # Weights of a sparse X have a mean of 1 inside; the objective above is in these.
-            unit = np.sqrt(weight.sum() / np.count_nonzero(weight)) if issparse(design) else 1.0
             self.alpha_fraction_, self.alpha_ = fitted.alpha_fraction, fitted.alpha * unit
         return self
 
@@ -179,7 +158,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
 
     @property
     def _formats(self) -> list[str] | bool:
-        """The sparse formats that X may have: searches over supports read dense columns."""
+        # searches over supports read dense columns
         return ["csc", "csr"] if isinstance(self._backend(), PenalisedBackend) else False
 
     def _backend(self) -> Backend:
@@ -194,7 +173,7 @@ def _varying(design: Any, *, centred: bool) -> BoolArray:
     low, high = design.min(axis=0), design.max(axis=0)
     if issparse(design):
         low, high = low.toarray().ravel(), high.toarray().ravel()
-    limit = CONSTANT * np.maximum(np.abs(low), np.abs(high))
+    limit = 16.0 * np.finfo(float).eps * np.maximum(np.abs(low), np.abs(high))  # by rounding
     varies: BoolArray = (high - low > limit) if centred else (low != 0) | (high != 0)
     if not varies.any():
         raise FitFailed("every column of X is constant: there is nothing to choose from")
@@ -212,10 +191,9 @@ class _Named(SparseRegressor):
             if key in cls._get_param_names():
                 continue
             if key == "alpha" and "alpha_fraction" in cls._get_param_names():
-                raise InputError(
-                    f"{cls.__name__} takes alpha_fraction, the penalty over the smallest one whose "
-                    "weights are all zero, in (0, 1]; alpha_ tells the penalty after a fit"
-                )
+                words = "alpha_fraction, the penalty over the smallest one whose weights are all"
+                words += " zero, in (0, 1]; alpha_ tells the penalty after a fit"
+                raise InputError(f"{cls.__name__} takes {words}")
             raise unknown(f"parameter of {cls.__name__}", key, cls._get_param_names())
         instance: Self = super().__new__(cls)
         return instance
@@ -231,17 +209,11 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     backend = load(NAMED[name])
     own = f"{(backend.__doc__ or '').strip()}\n\n    `SparseRegressor` tells of the rest."
-    settings = [(f.name, Any, field(default=f.default)) for f in fields(cast(Any, backend))]
-    shared = [(key, Any, field(default=value)) for key, value in SHARED.items()]
-    made = make_dataclass(
-        name,
-        [*settings, *shared],
-        bases=(_Named,),
-        namespace={"__doc__": own, "__module__": __name__, "_name": NAMED[name]},
-        eq=False,
-        repr=False,
-        kw_only=True,
-    )
+    defaults = {item.name: item.default for item in fields(cast(Any, backend))} | SHARED
+    settings = [(key, Any, field(default=value)) for key, value in defaults.items()]
+    texts = {"__doc__": own, "__module__": __name__, "_name": NAMED[name]}
+    plain: dict[str, Any] = {"eq": False, "repr": False, "kw_only": True}
+    made = make_dataclass(name, settings, bases=(_Named,), namespace=texts, **plain)
     globals()[name] = made
     return made
 

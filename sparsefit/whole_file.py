@@ -1,6 +1,7 @@
-"""Files that appear whole or not at all: written beside the target, then renamed over it.
+"""Files that are written whole or not at all, and files that are read whole.
 
-And files that are read whole: regular ones, of a size that is meant.
+A file is written beside the target, then renamed over it. Those that are read are regular ones, of
+a size that is meant. An `InputError` names the file, the cause and what to do.
 """
 
 import errno
@@ -22,32 +23,20 @@ REMEDIES = {
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes | str) -> None:
-    """Write bytes, or text as UTF-8, so that a reader meets the old file or the new one.
-
-    Raises:
-        InputError: naming the file and what to do, if it cannot be written.
-    """
+    """Write bytes, or text as UTF-8, as `whole_file` does."""
     with whole_file(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files into a folder that is there, each whole; return their paths in this order.
-
-    Raises:
-        InputError: naming the file and what to do, if one cannot be written.
-    """
+    """Write files into a folder that is there, each whole; return their paths in this order."""
     for name, content in files.items():
         write_whole(folder / name, content)
     return [folder / name for name in files]
 
 
 def read_whole(path: str | os.PathLike[str], *, most: int) -> bytes:
-    """The content of a regular file of at most ``most`` bytes.
-
-    Raises:
-        InputError: as `regular_file`.
-    """
+    """The content of a `regular_file` of at most ``most`` bytes."""
     with regular_file(path, most=most) as file:
         return file.read()
 
@@ -56,20 +45,18 @@ def read_whole(path: str | os.PathLike[str], *, most: int) -> bytes:
 def regular_file(path: str | os.PathLike[str], *, most: int) -> Iterator[BinaryIO]:
     """A regular file of at most ``most`` bytes, open to be read in a ``with`` block.
 
-    Raises:
-        InputError: naming the file, where there is none, it cannot be read or is too long; also of
-            a device or a pipe, which may have no end.
+    Raises InputError where there is none, it cannot be read or is too long; also of a device or a
+    pipe, which may have no end.
     """
-    name = os.fspath(path)
+    name, check = os.fspath(path), "check the path"
     try:
         status = os.stat(path)
-    except ValueError as error:  # a zero byte in the name
-        raise InputError(f"cannot read {name!r}: {error}; check the path") from None
-    except OSError as error:
-        raise InputError(f"cannot read {name}: {error.strerror}; check the path") from None
+    except (OSError, ValueError) as error:  # a zero byte in the name
+        reason = getattr(error, "strerror", error)
+        raise InputError(f"cannot read {name}: {reason}; {check}") from None
     if not stat.S_ISREG(status.st_mode):
         kind = "a folder" if stat.S_ISDIR(status.st_mode) else "no regular file"
-        raise InputError(f"cannot read {name}: it is {kind}; check the path")
+        raise InputError(f"cannot read {name}: it is {kind}; {check}")
     if status.st_size > most:
         size = f"{status.st_size / 1e6:.0f} MB, more than {most / 1e6:.0f} MB"
         raise InputError(f"cannot read {name}: it has {size}; is it the right file?")
@@ -77,7 +64,7 @@ def regular_file(path: str | os.PathLike[str], *, most: int) -> Iterator[BinaryI
         with Path(path).open("rb") as file:
             yield file
     except OSError as error:
-        raise InputError(f"cannot read {name}: {error.strerror}; check the path") from None
+        raise InputError(f"cannot read {name}: {error.strerror}; {check}") from None
 
 
 @contextmanager
@@ -86,10 +73,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
     It is made anew in the folder of ``path``, under a name that nobody can foresee and with the
     permissions of any new file: no link that waits there is followed. Where the block or the disk
-    fails, it is removed and ``path`` is as it was.
-
-    Raises:
-        InputError: naming the file and what to do, if it cannot be written.
+    fails, it is removed and ``path`` is as it was. Raises InputError if it cannot be written.
     """
     target = Path(path)
     beside = target.parent / f".{target.name[:32]}.{secrets.token_hex(8)}.partial"
@@ -111,6 +95,5 @@ def refusing(path: str | os.PathLike[str]) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        remedy = REMEDIES.get(error.errno or 0, "check the folder")
-        cause = error.strerror or error
+        cause, remedy = error.strerror or error, REMEDIES.get(error.errno or 0, "check the folder")
         raise InputError(f"cannot write {os.fspath(path)}: {cause}; {remedy}") from None

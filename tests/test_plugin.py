@@ -13,6 +13,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.cli import main
 from sparsefit.errors import InputError
+from sparsefit.regression.backend import plugins
 from sparsefit.sklearn import SparseRegressor
 from sparsefit.study import worker
 from tests.problems import regular
@@ -31,9 +32,9 @@ def installed(tmp_path_factory):
     subprocess.run([*command, folder / "site", folder / "source"], check=True, cwd=folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder / "site"))
-        backends._plugins.cache_clear()
+        plugins.cache_clear()
         yield folder / "site"
-    backends._plugins.cache_clear()
+    plugins.cache_clear()
 
 
 def test_it_is_a_back_end_like_any_other(installed):

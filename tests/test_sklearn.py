@@ -97,7 +97,7 @@ def test_groups_and_settings_are_those_of_the_back_end():
     assert np.array_equal(ours.coef_.T, sf.fit(problem, backend).weights)
     any_backend = regressors.SparseRegressor(backend, groups=groups, fit_intercept=False)
     assert np.array_equal(any_backend.fit(design, target).coef_, ours.coef_)
-    with pytest.raises(InputError, match="groups must have one label per column: X has 8 columns"):
+    with pytest.raises(InputError, match="groups must have one label per column"):
         regressors.GroupLasso(groups=groups[:3]).fit(design, target)
 
 

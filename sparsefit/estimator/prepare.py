@@ -12,7 +12,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, Brief
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, told_of
+from sparsefit.errors import InputError, told_with
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.likelihood.nodes import noise_of
@@ -144,7 +144,7 @@ def prepare(
     """
     start, parts = perf_counter(), []
     for number, flight in enumerate(flights, 1):
-        with told_of("flight", number, len(flights)):
+        with told_with(f"flight {number}" if len(flights) > 1 else ""):
             own = derivative(flight)
             if len(flights) > 1 and len(own.time) <= FEWEST:
                 raise InputError(

@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, integer, one_of, told_of
+from sparsefit.errors import InputError, integer, one_of, told_with
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.grid import (
     CANDIDATES,
@@ -165,7 +165,7 @@ class Library:
 
         parts, every = [], zip(sources, vehicles, weights, strict=True)
         for number, (source, vehicle, weight) in enumerate(every, 1):
-            with told_of("flight", number, len(flights)):
+            with told_with(f"flight {number}" if len(flights) > 1 else ""):
                 target = self.response(source, vehicle).reshape(per * len(source.time), -1)
                 basis = UnknownColumns(self.unknown, vehicle).basis(source, shared=per == 2)
                 if large:

@@ -5,7 +5,17 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, Literal, Protocol, get_args, get_origin, runtime_checkable
+from functools import cache
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    get_args,
+    get_origin,
+    runtime_checkable,
+)
 
 from sparsefit.arrays import Array
 from sparsefit.codec import plain
@@ -22,6 +32,9 @@ from sparsefit.errors import (
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 SolutionStatus = Literal["ok", "inaccurate", "unidentifiable", "error"]
 AlphaFraction = float | Literal["auto"]
@@ -150,7 +163,16 @@ class Checked:
 
 def settings_of(backend: Any) -> dict[str, Any]:
     """The settings of a back-end, JSON-ready, in the order of its fields."""
-    return plain(backend)
+    settings: dict[str, Any] = plain(backend)
+    return settings
+
+
+@cache
+def plugins(group: str, ours: tuple[str, ...]) -> "Mapping[str, EntryPoint]":
+    """The entry points of other packages in a group by name, but for names that are ours."""
+    from importlib.metadata import entry_points  # of no use to our own back-ends, and slow
+
+    return {entry.name: entry for entry in entry_points(group=group) if entry.name not in ours}
 
 
 def imported(where: str, load: Callable[[], Any]) -> Any:

@@ -35,7 +35,7 @@ from scipy import sparse
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line, unknown
-from sparsefit.regression.backend import Solution, Tolerance, heard, imported, made
+from sparsefit.regression.backend import Solution, Tolerance, heard, imported, made, plugins
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -62,12 +62,8 @@ class Late(SparsefitError):  # noqa: N818 - it says what the matter is
     """A command was ended at one of its limits; the message goes on from `the solve`."""
 
 
-@cache
 def _plugins() -> "Mapping[str, EntryPoint]":
-    from importlib.metadata import entry_points
-
-    listed = entry_points(group="sparsefit.solvers")
-    return {entry.name: entry for entry in listed if entry.name not in shipped_solvers()}
+    return plugins("sparsefit.solvers", (*SHIPPED, *BEHIND_CVXPY))
 
 
 def solver_names() -> tuple[str, ...]:

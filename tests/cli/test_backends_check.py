@@ -12,6 +12,7 @@ import pytest
 from sparsefit import backends
 from sparsefit.cli import main
 from sparsefit.errors import InputError
+from sparsefit.regression.backend import plugins
 from sparsefit.solvers.contract import faults
 from sparsefit.study.study import Study
 from tests.problems import regular
@@ -71,9 +72,9 @@ def plug_ins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     (info / "entry_points.txt").write_text(f"[sparsefit.backends]\n{places}")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
-        backends._plugins.cache_clear()
+        plugins.cache_clear()
         yield
-    backends._plugins.cache_clear()
+    plugins.cache_clear()
 
 
 def test_plug_ins_that_end_their_process_are_listed_with_it(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
+from sparsefit.regression.backend import plugins
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, SquaredNorm, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers import registry
 from sparsefit.solvers.registry import Late, Recipe, answers, solver, solver_names
 
 MINE = '''
@@ -109,12 +109,12 @@ def test_a_file_beside_a_study_has_solvers_with_settings(tmp_path):
 
 def test_a_plug_in_is_found_by_its_entry_point(monkeypatch):
     entry = EntryPoint("odd", f"{__name__}:Odd", "sparsefit.solvers")
-    registry._plugins.cache_clear()
+    plugins.cache_clear()
     monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [entry])
     monkeypatch.setitem(sys.modules, __name__, sys.modules[Odd.__module__])
     assert solver_names()[-1] == "odd"
     assert solver("odd", deed="raises") == Odd("raises")
-    registry._plugins.cache_clear()
+    plugins.cache_clear()
 
 
 @pytest.mark.parametrize("deed", ["shape", "raises"])

@@ -14,8 +14,8 @@ import pandas as pd
 import pytest
 
 import sparsefit as sf
-from sparsefit import backends
 from sparsefit.errors import InputError
+from sparsefit.regression.backend import plugins
 from sparsefit.study import manifest
 from sparsefit.study.export import CASES, read_cases
 from sparsefit.study.runner import locked
@@ -42,9 +42,9 @@ def plugin(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
         patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(folder)]))
-        backends._plugins.cache_clear()
+        plugins.cache_clear()
         yield folder
-    backends._plugins.cache_clear()
+    plugins.cache_clear()
 
 
 def load(folder, body, *, count=3, timeout=30.0, name="r"):
