@@ -71,11 +71,6 @@ def test_get_gives_the_back_end_of_that_name(name):
     assert type(backend) is backends.load(name)
 
 
-def test_the_registry_cannot_be_changed():
-    with pytest.raises(TypeError):
-        backends.BACKENDS["mine"] = "nowhere:Mine"
-
-
 def test_an_unknown_name_is_refused_with_the_nearest():
     with pytest.raises(InputError, match='unknown back-end "laso": did you mean "lasso"'):
         backends.get("laso")
