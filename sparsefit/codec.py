@@ -116,7 +116,7 @@ def mapping(value: object, place: Place) -> Mapping[str, object]:
 def number(value: object, place: Place) -> float:
     """A finite number; a boolean is none."""
     if not is_number(value):
-        kind = "a finite number" if isinstance(value, float | int) else "a number"
+        kind = "a finite number" if type(value) in (float, int) else "a number"
         raise place.error(f"must be {kind}, not {shown(value)}")
     return float(value)
 

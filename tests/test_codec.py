@@ -76,7 +76,7 @@ def test_lists_become_tuples_and_one_item_needs_no_list():
         ({"wing": 3}, '[craft] key "wing" must be an object, not 3'),
         ({"wing": {"spam": 1}}, '[craft.wing] key "spam" unknown: did you mean "span"?'),
         ({"wing": {"span": "2"}}, "[craft.wing] key \"span\" must be a number, not '2'"),
-        ({"wing": {"span": True}}, '[craft.wing] key "span" must be a finite number, not True'),
+        ({"wing": {"span": True}}, '[craft.wing] key "span" must be a number, not True'),
         ({"wing": {"span": 10**400}}, '[craft.wing] key "span" must be a finite number, not 1'),
         ({"wing": {"flaps": 2.0}}, '[craft.wing] key "flaps" must be a whole number, not 2.0'),
         ({"wing": {"flaps": -1}}, '[craft.wing] key "flaps" must be at least 0, not -1'),
