@@ -1,9 +1,10 @@
 """One likelihood of the raw log: the model, its smoother, and what a log says of it."""
 
-from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process
+from sparsefit.likelihood.model import Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, bound, measure
+from sparsefit.likelihood.reference import ELEMENTS
 
 __all__ = [
     "ELEMENTS",

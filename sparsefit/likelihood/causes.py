@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from sparsefit.likelihood.reference import ELEMENTS
+
 
 @dataclass(frozen=True)
 class Cause:
@@ -62,7 +64,12 @@ FREEDOMS: dict[str, Cause] = {
     "swell": Cause("swelling", GAIN, "the mean velocity seems to change in time, by "
                    "{percent:.2g} % rms", wanders=True, of_flow=True),
 }  # fmt: skip
-"""Causes by the name under which they are freed."""
+"""Causes by the name under which they are freed; an element that none names is one of its own."""
+FREEDOMS |= {
+    name: Cause(name.replace("_", "-"), (name,), f"{name} seems {{size:.2g}} {{more}} {BELIEVED}")
+    for name in ELEMENTS
+    if not any(name in own.elements for own in FREEDOMS.values())
+}
 SHAPES = {
     "drift": Cause(
         "drift", ("frequency_1", "frequency_2"), "the cells seem to drift", of_flow=True

@@ -1,20 +1,13 @@
 """The model of a log: motion, instruments and disturbances, each parameter with a value.
 
-    x' = v
-    v' = [(1 + c |r|) r / tau + s R(rho) m + b] / [(1 + mu t)(1 - l/tau)]
-    r  = (1 + gain)(1 + growth t) w(x - l v, t - l) + wind + wind_growth t - v
-    z_x = s_x x(t - latency) + b_x + noise,     z_v = s_v R(rho_v) v + b_v + noise
-
-m is the thrust acceleration of the log [m/s^2], t counts from its middle. Every quantity in these
-lines is an element (`ELEMENTS`); the passes know the derivative by each of them, and the free
-parameters of a model are chained to the elements by one Jacobian. An element may also walk about
-its value, as a state: gusts are a wind that does, a swell a gain, a Gauss-Markov error of
+Equations and elements stand in `reference`: the passes know the derivative by each element, and
+the free parameters of a model are chained to the elements by one Jacobian. An element may also walk
+about its value, as a state: gusts are a wind that does, a swell a gain, a Gauss-Markov error of
 position a bias.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -25,37 +18,13 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, suggestion
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
+from sparsefit.likelihood.reference import ELEMENTS
 
 if TYPE_CHECKING:
     from sparsefit.flight import Flight
     from sparsefit.flight.vehicle import PointMassVehicle
 
 Pair = tuple[float, float]
-ELEMENTS: dict[str, float] = {
-    "response_time": math.nan,  # tau [s], always given
-    "thrust_scale": 1.0,  # s, by which m is multiplied
-    "thrust_rotation": 0.0,  # rho [rad], by which it is turned counter-clockwise
-    "thrust_bias_x": 0.0,  # b [m/s^2]
-    "thrust_bias_y": 0.0,
-    "quadratic_drag": 0.0,  # c [s/m]
-    "wind_x": 0.0,  # [m/s], carries the vehicle and no pattern
-    "wind_y": 0.0,
-    "wind_growth_x": 0.0,  # [m/s^2]
-    "wind_growth_y": 0.0,
-    "mass_rate": 0.0,  # mu [1/s], of the mass by its value in mid-flight
-    "lag": 0.0,  # l [s], by which the pull of the air follows the relative wind, to first order
-    "gain": 0.0,  # of the flow
-    "growth": 0.0,  # [1/s], relative, of the flow
-    "position_scale": 1.0,  # s_x
-    "velocity_scale": 1.0,  # s_v
-    "velocity_bias_x": 0.0,  # b_v [m/s]
-    "velocity_bias_y": 0.0,
-    "velocity_rotation": 0.0,  # rho_v [rad], of the frame of velocity against that of position
-    "latency": 0.0,  # [s], by which a position is older than the velocity of its row
-    "position_bias_x": 0.0,  # b_x [m]
-    "position_bias_y": 0.0,
-}
-"""The elements in the order of the passes, with their defaults; those of the waves follow."""
 SLOWEST = 1e6  # [s], of a vehicle whose drag is quadratic alone
 LEVELS = ("acceleration", "position_noise", "velocity_noise")
 
@@ -163,12 +132,12 @@ class Model:
 
     @property
     def elements(self) -> Array:
-        """The values of all elements (22 + 5 j,)."""
+        """The values of all elements (e + 5 j,)."""
         own = [self.values[name] for name in ELEMENTS]
         return np.concatenate([own, self.pattern.waves.ravel()])
 
     def jacobian(self, names: Iterable[str]) -> Array:
-        """The derivatives (22 + 5 j, p) of the elements by named parameters.
+        """The derivatives (e + 5 j, p) of the elements by named parameters.
 
         A name may also be that of an element of a wave that no parameter of the pattern moves
         alone: "kx_2", "frequency_1".
@@ -212,10 +181,10 @@ class StateSpace:
     """A model as the passes read it; n = 4 + w states: x, y, v_x, v_y, the walkers.
 
     Args:
-        elements: the values of the elements (22 + 5 j,).
+        elements: the values of the elements (e + 5 j,).
         walkers: the elements (w,) that are states, 4 to n.
         rates: their rates beta (w,) [1/s].
-        chain: the derivatives (22 + 5 j, p) of the elements by the parameters in question.
+        chain: the derivatives (e + 5 j, p) of the elements by the parameters in question.
         kicks: the variance per second that each level gives to each state (l, n).
         spread: the variance that each level gives to each state at the start (l, n).
         noise: the variance that each level gives to each channel (l, 4): position, velocity.

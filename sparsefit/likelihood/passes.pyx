@@ -250,7 +250,7 @@ def forward(
     cdef double by_state[4][STATES]
     cdef double response[STATES + COLUMNS]  # H P, -e and G
     cdef double reading[4]
-    cdef double total = 0.0, size, dt, excess
+    cdef double total = 0.0, size, inverse, dt, excess
     cdef double* saved = NULL
     cdef const double* h
     cdef Step step
@@ -285,14 +285,15 @@ def forward(
             if not size > 0.0:  # the covariance has lost its sign
                 return INFINITY
             total += log(2.0 * M_PI * size)
+            inverse = 1.0 / size
             for k in range(n):
-                add(width, -response[k] / size, response, &rows[k, 0])
+                add(width, -response[k] * inverse, response, &rows[k, 0])
             for k in range(width - n):  # the lower triangle
-                add(k + 1, response[n + k] / size, response + n, &sums[k, 0])
+                add(k + 1, response[n + k] * inverse, response + n, &sums[k, 0])
             if stored is not None:
                 memcpy(saved + channel * (n + c + 1), h, n * sizeof(double))
                 memcpy(saved + channel * (n + c + 1) + n, response, c * sizeof(double))
-                saved[channel * (n + c + 1) + n + c] = size
+                saved[channel * (n + c + 1) + n + c] = inverse
         if i + 1 == time.shape[0]:
             break
         dt = time[i + 1] - time[i]
@@ -354,7 +355,7 @@ def backward(
     cdef double fade[STATES]
     cdef double cov[STATES][STATES]
     cdef double half[STATES][STATES]
-    cdef double dt, u, spread, innovation, size, part
+    cdef double dt, u, spread, innovation, inverse, part
     cdef const double* saved
     cdef const double* slope
     cdef const double* h
@@ -398,18 +399,18 @@ def backward(
                 if weights[i, channel] <= 0.0:
                     continue
                 h = saved + n * c + channel * (n + c + 1)
-                size, innovation = h[n + c], -dot(q, h + 2 * n, &change[0])
+                inverse, innovation = h[n + c], -dot(q, h + 2 * n, &change[0])
                 for k in range(n):
-                    gain[k] = h[n + k] / size
+                    gain[k] = h[n + k] * inverse
                 for k in range(n):
                     along[k] = dot(n, cov[k], gain)
-                u, spread = innovation / size - dot(n, gain, r), 1.0 / size + dot(n, along, gain)
+                u, spread = innovation * inverse - dot(n, gain, r), inverse + dot(n, along, gain)
                 add(n, u, h, r)
                 for k in range(n):
                     add(n, spread * h[k] - along[k], h, cov[k])
                     add(n, -h[k], along, cov[k])
                 scores[i, channel], scores[i, 4 + channel] = u, u / sqrt(spread)
-                scores[i, 8 + channel] = innovation / sqrt(size)
+                scores[i, 8 + channel] = innovation * sqrt(inverse)
                 sums[n + channel, 0] += noise[channel] / weights[i, channel] * u * u
                 sums[n + channel, 1] += noise[channel] / weights[i, channel] * spread
             memcpy(&adjoint[i, 0], r, n * sizeof(double))

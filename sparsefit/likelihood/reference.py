@@ -1,4 +1,13 @@
-"""The passes in plain NumPy: a step of the motion with its derivatives, the filter, the adjoint.
+"""The motion and its elements, and the passes in plain NumPy: filter forward, adjoint backward.
+
+    x' = v
+    v' = [(1 + c |r|) r / tau + s R(rho) m + b] / [(1 + mu t)(1 - l/tau)]
+    r  = (1 + gain)(1 + growth t) w(x - l v, t - l) + wind + wind_growth t - v
+    z_x = s_x x(t - latency) + b_x + noise,     z_v = s_v R(rho_v) v + b_v + noise
+
+m is the vehicle's own acceleration in the log [m/s^2], t counts from its middle. Every quantity in
+these lines is an element; another needs a line in `ELEMENTS`, its place in `force` or `reading`,
+and its derivative in `passes.pyx`. One that `causes` does not name is a cause of its own.
 
 The state is a deviation delta from a track s-bar, theta one from its value:
 
@@ -35,12 +44,37 @@ if TYPE_CHECKING:
     from sparsefit.likelihood.model import StateSpace
     from sparsefit.likelihood.nodes import Nodes, Smoothed
 
-OWN = 22  # elements before those of the waves, in the order of `model.ELEMENTS`
+ELEMENTS: dict[str, float] = {
+    "response_time": math.nan,  # tau [s], always given
+    "thrust_scale": 1.0,  # s, by which m is multiplied
+    "thrust_rotation": 0.0,  # rho [rad], by which it is turned counter-clockwise
+    "thrust_bias_x": 0.0,  # b [m/s^2]
+    "thrust_bias_y": 0.0,
+    "quadratic_drag": 0.0,  # c [s/m]
+    "wind_x": 0.0,  # [m/s], carries the vehicle and no pattern
+    "wind_y": 0.0,
+    "wind_growth_x": 0.0,  # [m/s^2]
+    "wind_growth_y": 0.0,
+    "mass_rate": 0.0,  # mu [1/s], of the mass by its value in mid-flight
+    "lag": 0.0,  # l [s], by which the pull of the air follows the relative wind, to first order
+    "gain": 0.0,  # of the flow
+    "growth": 0.0,  # [1/s], relative, of the flow
+    "position_scale": 1.0,  # s_x
+    "velocity_scale": 1.0,  # s_v
+    "velocity_bias_x": 0.0,  # b_v [m/s]
+    "velocity_bias_y": 0.0,
+    "velocity_rotation": 0.0,  # rho_v [rad], of the frame of velocity against that of position
+    "latency": 0.0,  # [s], by which a position is older than the velocity of its row
+    "position_bias_x": 0.0,  # b_x [m]
+    "position_bias_y": 0.0,
+}
+"""The elements in the order of the passes, with their defaults; those of the waves follow."""
+OWN = len(ELEMENTS)
 SMALL = 1e-30  # the complex step
 
 
 def force(elements: Array, state: Array, time: Array, push: Array) -> Array:
-    """v' (2, m) of states (4, m), from elements (22 + 5 j, m) and the log's own push (2, m)."""
+    """v' (2, m) of states (4, m), from elements (e + 5 j, m) and the log's own push (2, m)."""
     tau, scale, turn, bx, by, square, wx, wy, gx, gy, rate, lag, gain, growth = elements[:14]
     x, y = state[:2] - lag * state[2:4]
     kx, ky, a, b, omega = elements[OWN:].reshape(-1, 5, len(time)).transpose(1, 0, 2)
@@ -76,7 +110,7 @@ def reading(space: StateSpace, elements: Array, states: Array) -> Array:
     """The readings (4, m) of states (n, m)."""
     full = np.repeat(elements[:, None], states.shape[1], axis=1).astype(states.dtype)
     np.add.at(full, space.walkers, states[4:])
-    place, rate, bias_x, bias_y, turn, latency, offset_x, offset_y = full[14:OWN]
+    place, rate, bias_x, bias_y, turn, latency, offset_x, offset_y = full[14:22]
     late = 1j * latency.imag if np.iscomplexobj(latency) else 0.0  # nodes stand at its real part
     x, y = states[:2] - late * states[2:4]
     c, s = np.cos(turn), np.sin(turn)

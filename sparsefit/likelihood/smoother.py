@@ -19,8 +19,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.likelihood.model import ELEMENTS, StateSpace
+from sparsefit.likelihood.model import StateSpace
 from sparsefit.likelihood.nodes import Nodes, Smoothed
+from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
 
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern

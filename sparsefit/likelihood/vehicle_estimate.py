@@ -24,7 +24,7 @@ class VehicleEstimate:
     Args:
         response_time: [s].
         drag: the coefficient of quadratic drag [1/m].
-        thrust_scale: of the measured thrust.
+        thrust_scale: of the measured acceleration.
         thrust_acceleration: [m/s^2], (x, y).
         wind: [m/s], (x, y).
         vehicle_uncertainty: of those that were estimated.
@@ -48,8 +48,8 @@ def vehicle_of(posterior: Posterior, believed: PointMassVehicle, flight: int = 0
     """
     elements, suffix = posterior.models[flight].values, f"@{flight + 1}" if flight else ""
     steady = not np.ptp(posterior.legs[flight].nodes.push, axis=0).any()
-    thrust = believed.thrust_acceleration if steady else (0.0, 0.0)  # it is in the log: see b
-    pairs = {"thrust_acceleration": ("thrust_bias", thrust), "wind": ("wind", (0.0, 0.0))}
+    push = believed.thrust_acceleration if steady else (0.0, 0.0)  # it is in the log: see b
+    pairs = {"thrust_acceleration": ("thrust_bias", push), "wind": ("wind", (0.0, 0.0))}
     values: dict[str, Any] = {}
     errors: dict[str, Any] = {}
     for name, own, factor in (

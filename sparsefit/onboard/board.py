@@ -181,7 +181,7 @@ class Board:
         return own * r + push[:, None], slope, np.einsum("ijl,jkl->ikl", slope, inner)
 
     def _predict(self, h: float, push: Array, speed: float) -> None:
-        """All filters h seconds later, under a thrust (2,), at disturbances over a speed [m/s]."""
+        """All filters h seconds later, under a push (2,), at disturbances over a speed [m/s]."""
         z, total, decay = self.state.T.copy(), np.zeros((4, len(LEVELS))), math.exp(-RATE * h)
         for ahead, weight in ((0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)):  # Runge and Kutta
             pull, *slopes = self._acceleration(z, push)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from sparsefit.likelihood import reference, trellis
-from sparsefit.likelihood.model import ELEMENTS, Disturbance, Model, Process, StateSpace
+from sparsefit.likelihood.model import Disturbance, Model, Process, StateSpace
 from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
+from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg
 
 WAVES = np.array([[1.1, 0.4], [-0.3, 0.9]])
@@ -73,7 +74,7 @@ def passed(nodes, track, last):
     log, model = SimpleNamespace(spread=np.arange(1.0, 5.0)), odd_model()
     waves = [f"{name}_{j}" for j in (1, 2) for name in WAVE]
     forward = Leg(log, model, nodes, track, last).forward((*ELEMENTS, *waves))
-    smoothed = forward.backward(0.01 * np.cos(np.arange(32)))
+    smoothed = forward.backward(0.01 * np.cos(np.arange(len(ELEMENTS) + 10)))
     return (
         *(forward.value, forward.score, forward.information),
         *(smoothed.track, smoothed.adjoint, smoothed.scores, smoothed.squares),
@@ -121,7 +122,7 @@ def test_a_square_of_waves_is_these_waves_whatever_their_signs(signs, order):
 
 def velocity(pattern, x, y, t=0.0):
     """The flow, by the force on a vehicle of unit response time at rest."""
-    elements = np.concatenate([[1.0, *np.zeros(21)], pattern.waves.ravel()])[:, None]
+    elements = np.concatenate([[1.0, *np.zeros(len(ELEMENTS) - 1)], pattern.waves.ravel()])[:, None]
     at = np.array([x, y, 0.0, 0.0]) - [*pattern.origin[:2], 0.0, 0.0]
     time = np.array([t - pattern.origin[2]])
     return reference.force(elements, at[:, None], time, np.zeros((2, 1)))[:, 0]

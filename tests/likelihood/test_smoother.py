@@ -338,10 +338,19 @@ def test_waves_beside_those_of_the_flow_widen_what_only_wanders_in_time():
     log, states = flown(15, count=600)
     x, y = states[:, :2].T
     waves = np.array([[0.6, 0.9], [-0.9, 0.5], [1.1, 0.1], [0.2, -1.2], [0.8, -0.7]])
-    gust = sum(0.1 * np.cos(k @ np.array([x, y]) + j) for j, k in enumerate(waves))
-    field = FlightLog(log.time, log.position, log.velocity + gust[:, None], THRUST)
+    field = sum(0.1 * np.cos(k @ np.array([x, y]) + j) for j, k in enumerate(waves))[:, None]
     turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
     model = Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,)))
-    posterior = measure(field, model, (*LEVELS, "turbulence"))
-    assert posterior.inflation > 1.2
+    rng, step, gust, answer = np.random.default_rng(1), 0.04, np.zeros((600, 2)), np.zeros((600, 2))
+    fade = np.exp(-2.0 * step)
+    for i in range(1, 600):
+        gust[i] = fade * gust[i - 1] + 0.2 * np.sqrt(1 - fade**2) * rng.normal(size=2)
+        answer[i] = answer[i - 1] + step / TAU * (gust[i - 1] - answer[i - 1])
+    places = step * np.cumsum(answer, axis=0)
+    scores = []
+    for speed, place in ((field, 0.0 * places), (answer, places)):
+        faulty = FlightLog(log.time, log.position + place, log.velocity + speed, THRUST)
+        scores.append(measure(faulty, model, (*LEVELS, "turbulence")).inflation)
+    assert scores[0] > 1.6
+    assert 1.0 < scores[1] < 1.6  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
     assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
