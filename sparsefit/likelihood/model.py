@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, suggestion
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
-from sparsefit.likelihood.reference import ELEMENTS
+from sparsefit.likelihood.reference import ELEMENTS, StateSpace
 
 if TYPE_CHECKING:
     from sparsefit.flight import Flight
@@ -175,33 +175,9 @@ class Model:
         freed = tuple(name for name in self.freed if name not in names)
         return replace(self, fixed=fixed, freed=freed)
 
-
-@dataclass(frozen=True, eq=False)
-class StateSpace:
-    """A model as the passes read it; n = 4 + w states: x, y, v_x, v_y, the walkers.
-
-    Args:
-        elements: the values of the elements (e + 5 j,).
-        walkers: the elements (w,) that are states, 4 to n.
-        rates: their rates beta (w,) [1/s].
-        chain: the derivatives (e + 5 j, p) of the elements by the parameters in question.
-        kicks: the variance per second that each level gives to each state (l, n).
-        spread: the variance that each level gives to each state at the start (l, n).
-        noise: the variance that each level gives to each channel (l, 4): position, velocity.
-    """
-
-    elements: Array
-    walkers: IntArray
-    rates: Array
-    chain: Array
-    kicks: Array
-    spread: Array
-    noise: Array
-
-    @classmethod
-    def of(cls, model: Model, names: Iterable[str] = ()) -> StateSpace:
-        """Return the state space of a model, with sensitivities by named parameters."""
-        disturbance, order, chain = model.disturbance, list(ELEMENTS), model.jacobian(names)
+    def space(self, names: Iterable[str] = ()) -> StateSpace:
+        """Return the state space, with sensitivities by named parameters."""
+        disturbance, order = self.disturbance, list(ELEMENTS)
         walkers = [
             (order.index(name), process.rate, process.level**2, level)
             for level, process in enumerate(disturbance.processes, len(LEVELS))
@@ -217,4 +193,4 @@ class StateSpace:
             spread[level, state] = variance if rate else 0.0
         places = np.array([walker[0] for walker in walkers], dtype=np.intp)
         rates = np.array([walker[1] for walker in walkers], dtype=np.float64)
-        return cls(model.elements, places, rates, chain, kicks, spread, noise)
+        return StateSpace(self.elements, places, rates, self.jacobian(names), kicks, spread, noise)

@@ -34,14 +34,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 
 if TYPE_CHECKING:
-    from sparsefit.likelihood.model import StateSpace
     from sparsefit.likelihood.nodes import Nodes, Smoothed
 
 ELEMENTS: dict[str, float] = {
@@ -71,6 +71,29 @@ ELEMENTS: dict[str, float] = {
 """The elements in the order of the passes, with their defaults; those of the waves follow."""
 OWN = len(ELEMENTS)
 SMALL = 1e-30  # the complex step
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """A model as the passes read it; n = 4 + w states: x, y, v_x, v_y, the walkers.
+
+    Args:
+        elements: the values of the elements (e + 5 j,).
+        walkers: the elements (w,) that are states, 4 to n.
+        rates: their rates beta (w,) [1/s].
+        chain: the derivatives (e + 5 j, p) of the elements by the parameters in question.
+        kicks: the variance per second that each level gives to each state (l, n).
+        spread: the variance that each level gives to each state at the start (l, n).
+        noise: the variance that each level gives to each channel (l, 4): position, velocity.
+    """
+
+    elements: Array
+    walkers: IntArray
+    rates: Array
+    chain: Array
+    kicks: Array
+    spread: Array
+    noise: Array
 
 
 def force(elements: Array, state: Array, time: Array, push: Array) -> Array:

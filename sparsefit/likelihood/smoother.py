@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.likelihood.model import StateSpace
 from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
@@ -227,7 +226,7 @@ def _gated(leg: Leg, smoothed: Smoothed) -> bool:
         return False
     if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: there is no model yet
         return False
-    noise = np.sqrt(StateSpace.of(leg.model).noise.sum(axis=0))
+    noise = np.sqrt(leg.model.space().noise.sum(axis=0))
     away = np.abs(nodes.measured - smoothed.track[:, :4]) / noise
     out = (nodes.weights == 0.0) & (away > GATE)
     out = nodes.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.likelihood.model import Model, StateSpace
+from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed
-from sparsefit.likelihood.reference import width
+from sparsefit.likelihood.reference import StateSpace, width
 
 passes: Any
 try:
@@ -88,7 +88,7 @@ class Leg:
 
         names: the parameters (p,) by which the score and the information are wanted.
         """
-        space, (m, n), last = StateSpace.of(self.model, names), self.track.shape, self.last
+        space, (m, n), last = self.model.space(names), self.track.shape, self.last
         own = n + 1 + len(names)  # columns of P, delta and V
         rows = np.zeros((n, own + (len(space.kicks) if last else 0)))
         rows[:, :n] = np.diag(space.spread.sum(axis=0))
@@ -163,7 +163,7 @@ def longest_step(log: FlightLog, model: Model) -> float:
 
 def _widened(track: Array, model: Model) -> Array:
     """A track (m, n) with the states of a model, new ones 0."""
-    states = 4 + len(StateSpace.of(model).walkers)
+    states = 4 + len(model.space().walkers)
     return np.pad(track[:, :states], ((0, 0), (0, max(states - track.shape[1], 0))))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sparsefit.likelihood import reference, trellis
-from sparsefit.likelihood.model import Disturbance, Model, Process, StateSpace
+from sparsefit.likelihood.model import Disturbance, Model, Process
 from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
 from sparsefit.likelihood.reference import ELEMENTS
@@ -44,7 +44,7 @@ def odd_nodes(count=40, states=9, seed=3):
 
 def test_steps_and_readings_have_the_derivatives_of_finite_differences():
     model = odd_model()
-    space = replace(StateSpace.of(model), chain=np.eye(len(model.elements)))
+    space = replace(model.space(), chain=np.eye(len(model.elements)))
     nodes, track = odd_nodes(6)
     time = np.linspace(0.0, 0.5, 6)
     functions = {

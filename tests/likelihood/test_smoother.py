@@ -18,7 +18,7 @@ from sparsefit.likelihood import (
     measure,
     reference,
 )
-from sparsefit.likelihood.model import LEVELS, StateSpace
+from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes
 from sparsefit.likelihood.trellis import Leg
 
@@ -88,7 +88,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     model = Model(pattern, {"response_time": TAU}, Disturbance(0.8, 0.05, 0.2, (turbulence,)))
     model = model.free("wind_x", "thrust_scale")
     names = ("thrust_scale", "wind_x")
-    space = StateSpace.of(model, names)
+    space = model.space(names)
     nodes = Nodes.of(log, log.origin, 1.0)
     track, spread = np.pad(nodes.track(), ((0, 0), (0, 2))), np.array([1.0, 2.0, 3.0, 4.0])
     leg = Leg(SimpleNamespace(spread=spread), model, nodes, track)
