@@ -4,6 +4,7 @@ import re
 import sys
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import sparsefit
@@ -44,6 +45,22 @@ def test_a_sentence_that_its_table_contradicts_is_refused(directives):
         directives.measured(figure.format("<= 90"))
     with pytest.raises(ValueError, match="no column"):
         directives.measured("table2/errors; nothing; max; -")
+
+
+def test_the_table_of_the_readme_is_that_of_the_results():
+    errors = pd.read_csv(DOCS.parent / "results" / "table2" / "errors-absolute.csv", index_col=0)
+    columns = [*(f"mean |error| {name} [%]" for name in ("U0", "L_w", "τ_w")), "failures"]
+    page = (DOCS.parent / "README.md").read_text("utf-8")
+    rows = re.findall(r"^\| (.*) \| `(.*)` \|(.*)\|$", page, re.MULTILINE)
+    assert len(rows) == 5
+    for reading, backend, cells in rows:
+        for text, value in zip(
+            cells.split("|"), errors.loc[f"{reading}: {backend}", columns], strict=True
+        ):
+            if "<" in text:
+                assert value < float(text.replace("<", ""))
+            else:
+                assert round(value, len(text.strip().partition(".")[2])) == float(text), backend
 
 
 def test_every_back_end_has_a_line_where_one_chooses():
