@@ -344,7 +344,6 @@ MEASURES: dict[str, Measure] = {each.name: each for each in (
     Measure("excess", "", "excess", "certified excess of the objective", _column("excess"),
             "largest", format=".1e"),
     Measure("wall", "s", "time", "time of a solve", _column("wall"), varies=True),
-    Measure("cpu", "s", "CPU time", "CPU time of a solve", _column("cpu"), varies=True),
     Measure("first-call", "s", "first call", "time of the first call, with imports and compilation",
             _timed("first"), "largest", varies=True),
     Measure("peak-memory", "MB", "peak memory", "peak memory", _timed("memory"), "largest",

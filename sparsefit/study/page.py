@@ -265,8 +265,6 @@ def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
     Raises:
         InputError: if the study plans no such case.
     """
-    import pandas as pd
-
     from sparsefit.plot import draw_estimate
 
     again, cases = study.again(case_id), study.cases
@@ -274,23 +272,16 @@ def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
     stored: dict[Any, Any] = mine[0] if mine else {}
     truth = {f"est_{name[5:]}": value for name, value in stored.items() if name[:5] == "true_"}
     rows = [
-        (name, truth.get(name), stored.get(name), value)
+        (name, *map(plain, (truth.get(name), stored.get(name), value)))
         for name, value in again.values.items()
         if plain(stored.get(name)) is not None or plain(value) not in (None, "")
     ]
-    frame = pd.DataFrame(rows, columns=["what", "truth", "stored", "run again"], dtype=object)
-
-    def text(value: object) -> str:
-        cell = plain(value)
-        return "–" if cell is None else f"{cell:.6g}" if isinstance(cell, float) else str(cell)
-
-    frame.attrs["title"] = f"Case {case_id}"
-    frame.attrs["notes"] = () if stored else ("The case has no stored row yet.",)
-    made = Table.of(frame.map(text))
+    values = (Column(name, format=".6g") for name in ("truth", "stored", "run again"))
+    notes = () if stored else ("The case has no stored row yet.",)
+    made = Table(f"Case {case_id}", (Column("what"), *values), rows, notes)
     if file is None or study.kind != "flights":
         return made
-    plan = study.plan()
-    case = plan[plan["case_id"] == case_id].iloc[0]
+    case = stored or study.plan().set_index("case_id").loc[case_id]
     name = f"{study.name}, case {case_id}: {case['title']}"
     flow = again.flown.draw.flow
     truths = [part.length_scale for part in flow.cells] if flow is not None else []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -32,12 +31,10 @@ class Curve(NamedTuple):
     y: Array
     bars: Array | None = None
 
-    def coincides(self, other: Curve) -> bool:
-        """Whether another curve has the same points."""
-        return self.x.shape == other.x.shape and all(
-            np.allclose(*pair, rtol=1e-3, equal_nan=True)
-            for pair in ((self.x, other.x), (self.y, other.y))
-        )
+    @property
+    def points(self) -> tuple[str, ...]:
+        """The points to three digits: curves with equal ones are drawn once."""
+        return tuple(f"{value:.2e}" for value in (*self.x, *self.y))
 
 
 @dataclass(eq=False)
@@ -92,23 +89,20 @@ def _named(panels: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
     for place, panel in enumerate(panels):
         for curve in panel.curves:
             by_name.setdefault(curve.name, {})[place] = curve
-    twins, names = Counter[str](), list[str]()
+    twins: dict[Any, list[str]] = {}
     for name, mine in by_name.items():
         if any(np.isfinite(curve.y).any() for curve in mine.values()):
-            alike = (
-                other for other in names if by_name[other].keys() == mine.keys()
-                and all(by_name[other][at].coincides(mine[at]) for at in mine)
-            )  # fmt: skip
-            twin = next(alike, name)
-            twins[twin] += 1
-            names += [name] if twin == name else []
+            key = tuple((place, curve.points) for place, curve in mine.items())
+            twins.setdefault(key, []).append(name)
+    count = {alike[0]: len(alike) for alike in twins.values()}
+    names = list(count)
     if len(names) > NAMED_CURVES or ranks:
         names.sort(key=lambda name: ranks.get(name, np.inf))
     for panel in panels:
         curves = {curve.name: curve for curve in panel.curves}
         panel.curves = [curves[name] for name in names if name in curves]
     short = style.labels(names if len(names) == NAMED_CURVES + 1 else names[:NAMED_CURVES], 52)
-    more = {name: f" and {count - 1} alike" if count > 1 else "" for name, count in twins.items()}
+    more = {name: f" and {size - 1} alike" * (size > 1) for name, size in count.items()}
     return {name: f"{short[name]}{more[name]}" if name in short else None for name in names}
 
 
