@@ -9,21 +9,12 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
-from sparsefit.cli import (
-    verb_backends,
-    verb_estimate,
-    verb_export,
-    verb_select,
-    verb_simulate,
-    verb_study,
-)
 from sparsefit.cli.options import Option, Parser, Reply, print_help, verb
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
 from sparsefit.whole_file import REMEDIES
 
-BAD_INPUT = 2
-SHELLS, EVAL = ("bash", "zsh", "tcsh"), '  eval "$(sparsefit completion bash)"   # in ~/.bashrc\n'
 EXAMPLE = """\
 example:
   sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 -o flight.csv
@@ -47,18 +38,21 @@ def parser() -> Parser:
     top.add_argument("--version", action="version", version=f"sparsefit {__version__}")
     top.set_defaults(run=print_help, parser=top, stopped="stopped", json=False)
     verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb")
-    for module in (
-        verb_simulate, verb_estimate, verb_study, verb_select, verb_export, verb_backends
-    ):  # fmt: skip
-        module.add(verbs)
-    shells = Option("shell", "bash, zsh or tcsh", "SHELL", extra={"choices": SHELLS})
-    verb(verbs, "completion", completion, EVAL, [shells])
+    for name in ("simulate", "estimate", "study", "select", "export", "backends"):
+        import_module(f"sparsefit.cli.verb_{name}").add(verbs)
+    shells = {"choices": ("bash", "zsh", "tcsh")}
+    shell = Option("shell", "bash, zsh or tcsh", "SHELL", extra=shells)
+    verb(verbs, "completion", completion, [shell])
     return top
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb and return its exit code; bad input is one line on stderr, no traceback."""
-    _replace_unprintable()
+    sys.stdout = sys.stdout or io.StringIO()  # where they are closed
+    sys.stderr = sys.stderr or sys.stdout
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that has no `τ` shows `?`
+            stream.reconfigure(errors="replace")
     args = argparse.Namespace(stopped="stopped")
     try:
         args, extra = parser().parse_known_args(argv)
@@ -84,7 +78,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def completion(args: argparse.Namespace) -> Reply:
-    """Print a script that completes verbs and options in a shell."""
+    """Print a script that completes verbs and options in a shell.
+
+    example:
+      eval "$(sparsefit completion bash)"   # in ~/.bashrc
+    """
     try:
         import shtab
     except ImportError:
@@ -96,25 +94,17 @@ def completion(args: argparse.Namespace) -> Reply:
 def _refused(error: BaseException) -> int:
     """The exit code of an error that a user can mend, told on one line; others are raised again."""
     if isinstance(error, SparsefitError):
-        message, code = str(error), BAD_INPUT if isinstance(error, InputError | MissingExtra) else 1
+        message = str(error)
     elif isinstance(error, UnicodeDecodeError):
-        message, code = "a file is not UTF-8 text; save it as UTF-8", BAD_INPUT
+        message = "a file is not UTF-8 text; save it as UTF-8"
     elif isinstance(error, MemoryError):
-        message, code = "not enough memory; use fewer length scales or samples", BAD_INPUT
+        message = "not enough memory; use fewer length scales or samples"
     elif isinstance(error, OSError):
         place = f"{error.filename}: " if error.filename else ""
         remedy = REMEDIES.get(error.errno or 0, "check the path")
-        message, code = f"{place}{error.strerror or error}; {remedy}", BAD_INPUT
+        message = f"{place}{error.strerror or error}; {remedy}"
     else:
         raise error
     print(f"sparsefit: error: {one_line(message)}", file=sys.stderr)
-    return code
-
-
-def _replace_unprintable() -> None:
-    """Let a terminal that has no `τ` show `?`, and closed streams take what is printed."""
-    sys.stdout = sys.stdout or io.StringIO()
-    sys.stderr = sys.stderr or sys.stdout
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
+    failed = isinstance(error, SparsefitError) and not isinstance(error, InputError | MissingExtra)
+    return 1 if failed else 2

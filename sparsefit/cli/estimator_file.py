@@ -11,7 +11,6 @@ from sparsefit.errors import InputError, told_with
 if TYPE_CHECKING:
     from sparsefit.estimator.estimator import Estimator
 
-LONGEST = 16_000_000  # bytes of an estimator file
 OPTIONS = {  # the dotted key of an estimator: the option that sets it
     "library.lower": Option(
         "--grid-lower", "least length scale sought; default: 1 m", "m", float),
@@ -83,9 +82,6 @@ def read_estimator(path: str) -> Estimator:
     from sparsefit.estimator.estimator import Estimator
     from sparsefit.whole_file import read_whole
 
-    try:
-        text = read_whole(path, most=LONGEST).decode()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: not UTF-8 text; give a file of sparsefit select") from None
+    text = read_whole(path, most=16_000_000).decode(errors="replace")
     with told_with(path):
         return Estimator.from_json(text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
 import sys
 import tomllib
@@ -127,22 +128,22 @@ def verb(
     verbs: Verbs,
     name: str,
     run: Run,
-    example: str,
     options: Iterable[Option] = (),
     groups: Mapping[str, Iterable[Option]] | None = None,
-    summary: str = "",
+    about: str = "",
 ) -> Parser:
-    """Return the parser of a verb; its help is the docstring of what runs it.
+    """Return the parser of a verb.
 
-    example: stands below the help; options: beside `--json`, which every verb has; groups: others
-    by the title that they stand under.
+    run: its docstring is the help, a sentence and below it the examples, by default one of a study
+    file; options: beside `--json`, which every verb has; groups: others by the title that they
+    stand under; about: in place of the docstring.
     """
-    sentence = summary or (run.__doc__ or "").split("\n")[0].rstrip(".")
+    sentence, _, below = inspect.cleandoc(about or run.__doc__ or name).partition("\n\n")
     parser = verbs.add_parser(
         name,
-        help=f"{sentence[0].lower()}{sentence[1:]}",
-        description=f"{sentence[0].upper()}{sentence[1:]}.",
-        epilog=f"example:\n{example}",
+        help=f"{sentence[0].lower()}{sentence[1:]}".rstrip("."),
+        description=sentence,
+        epilog=below or f"example:\n  sparsefit study {name} studies/NAME.toml",
     )
     parser.set_defaults(run=run, parser=parser, stopped="stopped")
     # An action below does not undo a --json that stands before it.
@@ -163,23 +164,18 @@ def print_help(args: argparse.Namespace) -> Reply:
 
 
 def key_value(text: str) -> tuple[str, Value]:
-    """An argparse type: `key=value`, the value a TOML number, true, false or text."""
-    key, equals, value = text.partition("=")
-    if not equals or not key.strip():
+    """An argparse type: `key=value`, the value a scalar of TOML, or text without quotes."""
+    key, equals, value = (part.strip() for part in text.partition("="))
+    if not equals or not key:
         raise argparse.ArgumentTypeError(f'"{text}" is not key=value')
-    return key.strip(), scalar(value.strip())
-
-
-def scalar(text: str) -> Value:
-    """A scalar of TOML, `0.1`, `true` or `"text"`; anything else is text without quotes."""
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        parsed = tomllib.loads(f"value = {value}")
     except tomllib.TOMLDecodeError:
-        return text
+        return key, value
     except ValueError:  # Python reads no decimal integer of more than 4300 digits
         raise argparse.ArgumentTypeError("more than 4300 digits are no number") from None
-    value = parsed["value"]
-    return value if len(parsed) == 1 and isinstance(value, bool | int | float | str) else text
+    scalar = len(parsed) == 1 and isinstance(parsed["value"], bool | int | float | str)
+    return key, parsed["value"] if scalar else value
 
 
 def collected(pairs: Iterable[tuple[str, Value]] | None) -> dict[str, Value]:

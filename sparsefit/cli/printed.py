@@ -24,12 +24,7 @@ if TYPE_CHECKING:
     from sparsefit.logs.checks import LogQuality
 
 Rows: TypeAlias = Iterator[tuple[str, str]]
-OF_FLOW = (  # label, attribute, unit
-    ("mean velocity  U0", "mean_velocity", "m/s"),
-    ("length scale   L_w", "length_scale", "m"),
-    ("timescale      tau_w", "timescale", "s"),
-)
-OF_VEHICLE = (
+OF_VEHICLE = (  # label, attribute, unit
     ("response time  tau", "response_time", "s"),
     ("drag", "drag", "1/m"),
     ("thrust scale", "thrust_scale", ""),
@@ -119,10 +114,10 @@ def _vehicle(owner: LogEstimate) -> Rows:
 
 def _answer(estimate: Estimate) -> Rows:
     """Rows of the parameters, of the shape, of how well they fit, and of the status."""
-    for label, name, unit in OF_FLOW:
+    for symbol, name, unit in PARAMETERS:
         ends = getattr(estimate.uncertainty, f"{name}_interval", None)
-        spread = getattr(estimate.uncertainty, name, None)
-        yield label, measured(getattr(estimate, name), unit, spread, ends)
+        spread, label = getattr(estimate.uncertainty, name, None), name.replace("_", " ")
+        yield f"{label:<14} {symbol}", measured(getattr(estimate, name), unit, spread, ends)
     yield from _shape(estimate)
     yield from _vehicle(estimate)
     if estimate.freed:

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from sparsefit.regression import Certificate
 
 COLOURS = {"ok": "32", "inaccurate": "33", "unidentifiable": "33", "misfit": "33", "skipped": "33"}
-RED = "31"  # of every other status
-PLAIN_SECONDS = 5.0  # between two lines of progress where there is no terminal
 
 
 def coloured(status: str, text: str | None = None) -> str:
@@ -25,7 +23,7 @@ def coloured(status: str, text: str | None = None) -> str:
     text = status if text is None else text
     if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
         return text
-    return f"\033[{COLOURS.get(status, RED)}m{text}\033[0m"
+    return f"\033[{COLOURS.get(status, '31')}m{text}\033[0m"
 
 
 def rows_of(pairs: Iterable[tuple[str, str]], width: int = 0) -> list[str]:
@@ -99,8 +97,7 @@ def terminal_width() -> int:
 class Progress:
     """Progress on stderr: one line that changes on a terminal, elsewhere one every five seconds."""
 
-    def __init__(self) -> None:
-        self._last = float("-inf")
+    _last = float("-inf")
 
     def __call__(self, done: int, planned: int, left: float | None) -> None:
         """Tell that `done` of `planned` cases are finished, with the seconds left where known."""
@@ -110,7 +107,7 @@ class Progress:
         now = time.monotonic()
         if sys.stderr.isatty():
             print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)
-        elif done == planned or now - self._last >= PLAIN_SECONDS:
+        elif done == planned or now - self._last >= 5.0:
             self._last = now
             print(line, file=sys.stderr, flush=True)
 

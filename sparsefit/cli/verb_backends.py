@@ -9,12 +9,12 @@ from sparsefit.cli.options import SETTING, Option, Reply, Verbs, collected, verb
 from sparsefit.cli.terminal import duration, proof, typed
 from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
 
-EXAMPLE = """\
+ABOUT = """List the back-ends with their settings, or check that one works.
+
+example:
   sparsefit backends
   sparsefit backends check group-lasso --setting solver=clarabel
 """
-CHECK = "  sparsefit backends check lasso --setting alpha_fraction=0.05\n"
-SECONDS = 20.0  # for a plug-in to be imported
 NAME = Option("name", "a back-end, see sparsefit backends list", "NAME")
 TIMEOUT = Option("--timeout", "how long a plug-in may take; default: 60", "s", float,
                  {"default": 60.0})  # fmt: skip
@@ -22,15 +22,18 @@ TIMEOUT = Option("--timeout", "how long a plug-in may take; default: 60", "s", f
 
 def add(verbs: Verbs) -> None:
     """Declare the verb; without an action it lists."""
-    summary = "list the back-ends with their settings, or check that one works"
-    parser = verb(verbs, "backends", run_list, EXAMPLE, summary=summary)
+    parser = verb(verbs, "backends", run_list, about=ABOUT)
     actions = parser.add_subparsers(metavar="ACTION", title="actions")
-    verb(actions, "list", run_list, "  sparsefit backends list --json\n")
-    verb(actions, "check", run_check, CHECK, (NAME, SETTING, TIMEOUT))
+    verb(actions, "list", run_list)
+    verb(actions, "check", run_check, (NAME, SETTING, TIMEOUT))
 
 
 def run_list(args: argparse.Namespace) -> Reply:
-    """List the back-ends, plug-ins included, with their settings and defaults."""
+    """List the back-ends, plug-ins included, with their settings and defaults.
+
+    example:
+      sparsefit backends list --json
+    """
     from sparsefit import backends
     from sparsefit.solvers.conic import installed_solvers
     from sparsefit.solvers.registry import Recipe, solver_names
@@ -39,7 +42,7 @@ def run_list(args: argparse.Namespace) -> Reply:
     ours, records = (*backends.BACKENDS, *backends.PUBLIC), []
     for name in (*backends.known(), *backends.PUBLIC):
         try:
-            record = _record(name) if name in ours else in_child(_record, name, seconds=SECONDS)
+            record = _record(name) if name in ours else in_child(_record, name, seconds=20.0)
         except InputError as error:
             record = {"name": name, "error": str(error)}
         records.append(record)
@@ -82,7 +85,11 @@ def _record(name: str) -> dict[str, Any]:
 
 
 def run_check(args: argparse.Namespace) -> Reply:
-    """Run a back-end on a small flight whose answer is known; a plug-in must keep the contract."""
+    """Run a back-end on a small flight whose answer is known; a plug-in must keep the contract.
+
+    example:
+      sparsefit backends check lasso --setting alpha_fraction=0.05
+    """
     from sparsefit import backends
     from sparsefit.study.worker import in_child
 

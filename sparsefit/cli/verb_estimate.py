@@ -19,24 +19,6 @@ if TYPE_CHECKING:
     from sparsefit.flight import Flight
     from sparsefit.logs.flight_table import FlightTable
 
-EXAMPLE = """\
-  sparsefit estimate flight.csv
-  sparsefit estimate monday.csv tuesday.csv
-  sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
-  sparsefit estimate flight.csv --estimator estimator.json
-  sparsefit estimate flight.csv --set readout.scales=several
-  sparsefit estimate flight.csv --grid-lower 2 --grid-upper 8 --grid-step 0.1
-  sparsefit estimate flight.csv --set library.family=waves --grid-lower 3 --json
-  sparsefit estimate flight.csv --unknown response_time thrust_acceleration
-  sparsefit estimate flight.csv --plot flight.svg
-  sparsefit estimate log.ulg --unknown response_time --from 60 --to 300
-  sparsefit estimate glider.igc --response-time 2 --grid-lower 100 --grid-upper 2000 --grid-step 20
-  sparsefit estimate drifter.csv --response-time 60 --columns "time=t,x=lon,y=lat,vx=u[cm/s],vy=v"
-
-exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
-2 for bad input. `sparsefit backends` lists back-ends and their settings.
-"""
-PICTURES = (".png", ".svg", ".pdf")
 FLIGHT = Option(
     "flight", "flight log: a table (.csv, .parquet; .txt, .tsv, .dat), .ulg of PX4, .igc of a "
     "glider; several are flights through one flow, in one frame and by one clock", "FLIGHT",
@@ -61,22 +43,38 @@ VEHICLE = {  # the setting of a flight file that an option replaces
     "thrust_ay": Option("--thrust-ay", "thrust along y", "m/s^2", float),
     "thrust_scale": Option("--thrust-scale", "of the measured thrust ax, ay", "NUMBER", float),
 }  # fmt: skip
-STAND_IN = 1.0  # s or 1/m; where the drag is sought, a flight needs one that nothing reads
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
     vehicle = {"vehicle (in place of what the file says)": VEHICLE.values()}
     groups = {"log": LOG, "estimator": ALL, **vehicle}
-    verb(verbs, "estimate", run, EXAMPLE, (FLIGHT, PLOT, FORCE), groups)
+    verb(verbs, "estimate", run, (FLIGHT, PLOT, FORCE), groups)
 
 
 def run(args: argparse.Namespace) -> Reply:
-    """Estimate mean velocity, length scale and timescale from a flight, or several."""
+    """Estimate mean velocity, length scale and timescale from a flight, or several.
+
+    example:
+      sparsefit estimate flight.csv
+      sparsefit estimate monday.csv tuesday.csv
+      sparsefit estimate flight.csv --backend lasso --setting alpha_fraction=0.05 --json
+      sparsefit estimate flight.csv --estimator estimator.json
+      sparsefit estimate flight.csv --set readout.scales=several
+      sparsefit estimate flight.csv --set library.family=waves --grid-lower 3 --json
+      sparsefit estimate flight.csv --unknown response_time thrust_acceleration
+      sparsefit estimate flight.csv --plot flight.svg
+      sparsefit estimate log.ulg --unknown response_time --from 60 --to 300
+      sparsefit estimate a.igc --response-time 2 --grid-lower 100 --grid-upper 2000 --grid-step 20
+      sparsefit estimate a.csv --response-time 60 --columns "time=t,x=lon,y=lat,vx=u[cm/s],vy=v"
+
+    exit code: 0 when the status is ok, 1 when it is not (the estimate is printed all the same),
+    2 for bad input. `sparsefit backends` lists back-ends and their settings.
+    """
     from sparsefit.cli.printed import lines
 
     if args.plot is not None:
-        check_output(args.plot, force=args.force, endings=PICTURES)
+        check_output(args.plot, force=args.force, endings=(".png", ".svg", ".pdf"))
     estimator = estimator_of(args)
     logs = _logs(args, estimator)
     flights = [log.flight for log in logs]
@@ -136,8 +134,8 @@ def _flight(
     for law, other in (("response_time", "drag"), ("drag", "response_time")):
         if law in given and other not in given:
             settings.pop(other, None)
-        if law in unknown and law not in settings:
-            settings = {k: v for k, v in settings.items() if k != other} | {law: STAND_IN}
+        if law in unknown and law not in settings:  # a flight needs one, that nothing reads
+            settings = {k: v for k, v in settings.items() if k != other} | {law: 1.0}
     if "response_time" not in settings and "drag" not in settings:
         cause = "the file has no `# response_time=` line; add it or give --response-time"
         if given:

@@ -12,11 +12,6 @@ from sparsefit.cli.terminal import check_folder
 from sparsefit.errors import one_line
 from sparsefit.whole_file import write_whole
 
-EXAMPLE = """\
-  sparsefit export estimator.json --c flow
-  sparsefit export estimator.json --c flow --float --flight flight.csv
-  cmake -S flow -B flow/build && cmake --build flow/build && ctest --test-dir flow/build
-"""
 OPTIONS = (
     Option("estimator", "estimator file, .json, as sparsefit select writes", "ESTIMATOR"),
     Option("--c", "folder to write", "DIR", extra={"required": True, "dest": "folder"}),
@@ -28,11 +23,17 @@ OPTIONS = (
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    verb(verbs, "export", run, EXAMPLE, OPTIONS)
+    verb(verbs, "export", run, OPTIONS)
 
 
 def run(args: argparse.Namespace) -> Reply:
-    """Write an estimator as C99: no heap, bounded work, with a test that replays a flight."""
+    """Write an estimator as C99: no heap, bounded work, with a test that replays a flight.
+
+    example:
+      sparsefit export estimator.json --c flow
+      sparsefit export estimator.json --c flow --float --flight flight.csv
+      cmake -S flow -B flow/build && cmake --build flow/build && ctest --test-dir flow/build
+    """
     from sparsefit.logs import read_flight
     from sparsefit.onboard.c_source import package
 

@@ -18,12 +18,6 @@ from sparsefit.whole_file import write_whole
 if TYPE_CHECKING:
     from sparsefit.study.study import Study
 
-EXAMPLE = """\
-  sparsefit select studies/NAME.toml
-  sparsefit select studies/NAME.toml --over worst --max-failure 0.02 --max-silent-misses 0
-  sparsefit select studies/NAME.toml --criterion "95th percentile length-scale-error"
-  sparsefit select studies/NAME.toml --on-board && sparsefit export estimator.json --c flow
-"""
 READERS: dict[type, tuple[Any, str]] = {bool: (None, ""), int: (int, "N"), str: (str, "WORDS")}
 RUN = (
     Option("--processes", "of --check; default: one per processor", "N", int),
@@ -42,11 +36,18 @@ def add(verbs: Verbs) -> None:
         read, metavar = READERS.get(type(item.default), number)
         rule.append(option_of(item.name, words[item.name], metavar, read))
     groups = {"rule (in place of what [select] of the study file says)": rule}
-    verb(verbs, "select", run, EXAMPLE, (STUDY, RESULTS, *RUN), groups)
+    verb(verbs, "select", run, (STUDY, RESULTS, *RUN), groups)
 
 
 def run(args: argparse.Namespace) -> Reply:
-    """Choose one estimator from a finished study, and write it and the evidence."""
+    """Choose one estimator from a finished study, and write it and the evidence.
+
+    example:
+      sparsefit select studies/NAME.toml
+      sparsefit select studies/NAME.toml --over worst --max-failure 0.02 --max-silent-misses 0
+      sparsefit select studies/NAME.toml --criterion "95th percentile length-scale-error"
+      sparsefit select studies/NAME.toml --on-board && sparsefit export estimator.json --c flow
+    """
     check_output(args.output, force=args.force)
     from sparsefit.study import evidence
     from sparsefit.study.selection import check, select

@@ -17,19 +17,9 @@ from sparsefit.errors import InputError, integer, one_line
 from sparsefit.study.quantities import QUANTITIES, FlightWords
 from sparsefit.study.schema import described, sentences
 
-EXAMPLE = """\
-  sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --response-time 0.5 \\
-      --thrust-acceleration 5 3 --duration 10 --sample-rate 100 --seed 7 -o flight.csv
-  sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --heading 0.3 --drift-ratio 0.05 \\
-      --drift-direction 1 --turbulence-ratio 0.1 --turbulence-length 8 -o windy.csv
-  sparsefit simulate --mean-velocity 8 --length-scale 4 --drag 0.3 --outliers 0.01 -o drag.csv
-  sparsefit simulate --mean-velocity 8 --timescale 0.5 --thrust-turn 6 --thrust-period 5 -o turn.csv
-"""
-MANY = 100_000  # samples: beyond them a flight takes long enough to be announced
 DEFAULTS: dict[str, Any] = {
     "response_time": 0.5, "thrust_acceleration": [5.0, 3.0], "duration": 10.0, "sample_rate": 100.0
 }  # fmt: skip
-OF_STUDIES = ("together", "measurement_noise")  # several flights, two noises in one sweep
 
 
 def add(verbs: Verbs) -> None:
@@ -44,7 +34,7 @@ def add(verbs: Verbs) -> None:
             title = "faults of the log"
         elif row.of_flow or name.startswith("wind"):
             title = "flow"
-        if name not in OF_STUDIES:
+        if name not in ("together", "measurement_noise"):  # which are of studies
             words = described(row.sentence, row.unit, row.range, DEFAULTS.get(name))
             metavar = "X Y" if len(row.streams) == 2 else row.unit or "NUMBER"
             groups[title].append(option_of(name, words, metavar, float))
@@ -56,7 +46,7 @@ def add(verbs: Verbs) -> None:
                extra={"required": True}),
         FORCE,
     )  # fmt: skip
-    verb(verbs, "simulate", run, EXAMPLE, options, groups)
+    verb(verbs, "simulate", run, options, groups)
 
 
 class OptionPlace(Place):
@@ -68,7 +58,16 @@ class OptionPlace(Place):
 
 
 def run(args: argparse.Namespace) -> Reply:
-    """Simulate a flight through cells, in turbulence too, and write it to a file."""
+    """Simulate a flight through cells, in turbulence too, and write it to a file.
+
+    example:
+      sparsefit simulate --mean-velocity 15.43 --length-scale 4.21 --response-time 0.5 \\
+          --thrust-acceleration 5 3 --duration 10 --sample-rate 100 --seed 7 -o flight.csv
+      sparsefit simulate --mean-velocity 15.43 --length-scale 4.2 --heading 0.3 --drift-ratio 0.1 \\
+          --drift-direction 1 --turbulence-ratio 0.1 --turbulence-length 8 -o a.csv
+      sparsefit simulate --mean-velocity 8 --length-scale 4 --drag 0.3 --outliers 0.01 -o drag.csv
+      sparsefit simulate --mean-velocity 8 --timescale 1 --thrust-turn 6 --thrust-period 5 -o b.csv
+    """
     from numpy.random import SeedSequence
 
     from sparsefit.logs import write_flight
@@ -84,7 +83,7 @@ def run(args: argparse.Namespace) -> Reply:
         default.pop("response_time", None)
     draw = read_flight_rules(section | default, OptionPlace("")).draw(0, 1, args.seed)
     values = draw.values
-    if (samples := values["duration"] * values["sample_rate"]) > MANY:
+    if (samples := values["duration"] * values["sample_rate"]) > 100_000:  # seconds of work
         print(f"flying {samples:.3g} samples; Ctrl-C stops it, and writes nothing", file=sys.stderr)
     flight = replace(draw, turbulence_seed=args.seed).fly(SeedSequence(args.seed))
     write_flight(flight, args.output, overwrite=args.force)

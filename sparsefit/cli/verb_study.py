@@ -20,21 +20,15 @@ if TYPE_CHECKING:
     from sparsefit.study.runner import RunSummary
     from sparsefit.study.study import Study
 
-EXAMPLE = """\
+ABOUT = """Check, plan, run and read a study.
+
+example:
   sparsefit study check studies/NAME.toml
   sparsefit study run studies/NAME.toml --processes 4
   sparsefit study show studies/NAME.toml
 """
-COMPARE = """\
-  sparsefit study compare results-0.3/table2 results/table2
-  sparsefit study compare old/table2 studies/table2.toml
-"""
-MERGE = """\
-  sparsefit study run studies/table2.toml --only lasso          # on one machine
-  sparsefit study run studies/table2.toml --only stlsq          # on another
-  sparsefit study merge studies/table2.toml copied/table2
-"""
 STUDY = Option("study", "study file, .toml", "STUDY")
+STALE = "computed by other code than this; study run --stale renews"
 REPEATED = {"action": "append", "default": []}
 RUN = (
     Option("--processes", "default: one per processor of this machine", "N", int),
@@ -73,25 +67,13 @@ SECTION = Option("section", "flights, library, run, select ...; default: all of 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb and its actions."""
-    about = "check, plan, run and read a study"
-    parser = verb(verbs, "study", print_help, EXAMPLE, summary=about)
+    parser = verb(verbs, "study", print_help, about=ABOUT)
     actions = parser.add_subparsers(metavar="ACTION", title="actions", dest="action")
-    of_study = (STUDY, RESULTS)
-    for run, options, example in (
-        (check, of_study, ""),
-        (plan, of_study, ""),
-        (run_study, (*of_study, *RUN), ""),
-        (status, of_study, ""),
-        (errors, of_study, ""),
-        (show, (*of_study, *SHOW), ""),
-        (report, of_study, ""),
-        (compare, COMPARED, COMPARE),
-        (merge, (STUDY, PARTS, RESULTS), MERGE),
-        (keys, (SECTION,), "  sparsefit study keys flights\n"),
-    ):
-        name = run.__name__.removesuffix("_study")
-        example = example or f"  sparsefit study {name} studies/NAME.toml\n"
-        verb(actions, name, run, example, options)
+    for run in (check, plan, run_study, status, errors, show, report, compare, merge, keys):
+        more = {run_study: RUN, show: SHOW, compare: COMPARED, merge: (PARTS,), keys: (SECTION,)}
+        of_study = () if run in (compare, keys) else (STUDY, RESULTS)
+        options = (*of_study, *more.get(run, ()))
+        verb(actions, run.__name__.removesuffix("_study"), run, options)
 
 
 def read_study(args: argparse.Namespace) -> Study:
@@ -145,7 +127,7 @@ def plan(args: argparse.Namespace) -> Reply:
     """Count what a study will do and write."""
     study = read_study(args)
     record = {"study": study.name, "question": study.question, **study.counts()}
-    rows: list[tuple[str, str]] = []
+    rows = list[tuple[str, str]]()
     for name, value in record.items():
         if isinstance(value, dict):
             rows += ((f"{name.rstrip('s')} {key}", str(item)) for key, item in value.items())
@@ -158,7 +140,11 @@ def plan(args: argparse.Namespace) -> Reply:
 
 
 def keys(args: argparse.Namespace) -> Reply:
-    """List the keys of a study file, with their units, ranges and defaults."""
+    """List the keys of a study file, with their units, ranges and defaults.
+
+    example:
+      sparsefit study keys flights
+    """
     from sparsefit.study.definition import keys_of
     from sparsefit.study.keys import OWN
 
@@ -177,13 +163,9 @@ def run_study(args: argparse.Namespace) -> Reply:
     names = ("processes", "fresh", "retry_failed", "stale", "only", "executor", "scheduler")
     with terminal.Progress() as progress:
         summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
-    if summary.dropped:
-        print(f"{summary.dropped} cases that the study no longer plans are left out",
-              file=sys.stderr)  # fmt: skip
-    if summary.damaged:
-        print(f"{summary.damaged} rows were damaged, and their cases computed again",
-              file=sys.stderr)  # fmt: skip
-    _tell_stale(summary)
+    _warn(summary.dropped, "no longer planned by the study, and left out")
+    _warn(summary.damaged, "damaged, and computed again")
+    _warn(summary.stale, STALE)
     args.stopped = "stopped while writing the report; run the same command again to continue"
     counts = ("done", "resumed", "computed", "stale", "dropped", "seconds")
     record = {"study": study.name, "folder": str(summary.folder), "cases": summary.planned,
@@ -210,12 +192,10 @@ def run_study(args: argparse.Namespace) -> Reply:
     return Reply(record, lines)
 
 
-def _tell_stale(state: RunSummary) -> None:
-    """Tell on stderr how many rows other code has made."""
-    if state.stale:
-        rows = "1 case was" if state.stale == 1 else f"{state.stale} cases were"
-        words = "computed by other code than this; study run --stale renews"
-        print(f"{rows} {words}", file=sys.stderr)
+def _warn(count: int, words: str) -> None:
+    """Tell on stderr what happened to so many cases, where there are any."""
+    if count:
+        print(f"{count} case{'s' * (count > 1)} {words}", file=sys.stderr)
 
 
 def _by_status(statuses: Mapping[str, int]) -> str:
@@ -235,7 +215,7 @@ def status(args: argparse.Namespace) -> Reply:
     record |= {"statuses": dict(state.statuses), "versions": dict(state.versions)}
     words = "finished" if state.finished else "not finished" if state.done else "not begun"
     counted = f"{state.done} of {state.planned} cases ({_by_status(state.statuses)})"
-    _tell_stale(state)
+    _warn(state.stale, STALE)
     return Reply(record, [f"{study.name}: {words}, {counted} in {state.folder}"])
 
 
@@ -299,13 +279,18 @@ def report(args: argparse.Namespace) -> Reply:
     from sparsefit.study import page
 
     study, state = stored(args, whole=True)
-    _tell_stale(state)
+    _warn(state.stale, STALE)
     written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
     return Reply({"headline": headline, "written": written}, filter(None, [headline, *written]))
 
 
 def compare(args: argparse.Namespace) -> Reply:
-    """Hold two runs of a study against each other, case by case; exit 1 where any differs."""
+    """Hold two runs of a study against each other, case by case; exit 1 where any differs.
+
+    example:
+      sparsefit study compare results-0.3/table2 results/table2
+      sparsefit study compare old/table2 studies/table2.toml
+    """
     from sparsefit.study import compare as comparing
     from sparsefit.study.export import read_cases
     from sparsefit.study.study import Study
@@ -325,7 +310,13 @@ def compare(args: argparse.Namespace) -> Reply:
 
 
 def merge(args: argparse.Namespace) -> Reply:
-    """Bring parts of a study together that were run in several places."""
+    """Bring parts of a study together that were run in several places.
+
+    example:
+      sparsefit study run studies/table2.toml --only lasso          # on one machine
+      sparsefit study run studies/table2.toml --only stlsq          # on another
+      sparsefit study merge studies/table2.toml copied/table2
+    """
     from sparsefit.study import page
 
     study = _checked(args)

@@ -302,7 +302,7 @@ def test_files_that_are_no_text_are_refused(capsys, flight):
     with open("binary.csv", "wb") as file:
         file.write(bytes(range(128, 256)))
     assert "no text in UTF-8" in refused(capsys, "estimate", "binary.csv")
-    assert "not UTF-8" in refused(capsys, "estimate", flight, "--estimator", "binary.csv")
+    assert "not an estimator" in refused(capsys, "estimate", flight, "--estimator", "binary.csv")
     assert "cannot read missing.csv" in refused(capsys, "estimate", "missing.csv")
     os.mkdir("folder.csv")
     assert "cannot read folder.csv" in refused(capsys, "estimate", "folder.csv")
