@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from sparsefit.arrays import Array, Brief
+from sparsefit.arrays import Brief
 from sparsefit.codec import finite_or_none
 from sparsefit.flight.flow import FlowField
 from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
@@ -34,38 +31,20 @@ def decimals(spread: float) -> int:
 class Doubt(StrEnum):
     """The kind of doubt that keeps a flow from being told; an estimate's reason has its words."""
 
-    NO_WEIGHTS = "no-weights"
-    """The back-end gave every column the weight zero."""
-    STILL_AIR = "still-air"
-    """The flow velocity is nothing beside the vehicle's own."""
-    DISAGREEMENT = "disagreement"
-    """The logged velocity is not that of the logged position."""
-    FEW_SAMPLES = "few-samples"
-    """There are fewer samples than a length scale has unknowns, or than a standard error needs."""
-    UNDERSAMPLED = "undersampled"
-    """The flow changes too much from sample to sample."""
-    NO_FLOW = "no-flow"
-    """No length scale explains more than a uniform velocity does."""
-    EDGE = "edge"
-    """The best length scale is a bound of the search."""
-    LEFT_OVER = "left-over"
-    """A flow is left that the back-end did not propose."""
-    BEATEN = "beaten"
-    """Another length scale fits better than the one that was proposed."""
-    RIVAL = "rival"
-    """Another length scale fits too nearly as well."""
-    IMPRECISE = "imprecise"
-    """A parameter is known too poorly, or not at all."""
-    VEHICLE = "vehicle"
-    """The vehicle that fits best cannot be."""
-    NO_CELLS = "no-cells"
-    """Waves were found that make no cells of one flow or two."""
-    MEAN_VELOCITY = "mean-velocity"
-    """The readout gives no mean velocity above zero."""
-    SHORT_TRACK = "short-track"
-    """The flight covers less than one period of the flow."""
-    MISFIT = "misfit"
-    """There is a flow, but it is not the one that was fitted."""
+    NO_WEIGHTS = "no-weights"  # the back-end gave every column the weight zero
+    STILL_AIR = "still-air"  # the flow velocity is nothing beside the vehicle's own
+    DISAGREEMENT = "disagreement"  # the logged velocity is not that of the logged position
+    FEW_SAMPLES = "few-samples"  # fewer samples than unknowns, or than errors need
+    UNDERSAMPLED = "undersampled"  # the flow changes too much from sample to sample
+    NO_FLOW = "no-flow"  # no length scale explains more than a uniform velocity does
+    EDGE = "edge"  # the best length scale is a bound of the search
+    RIVAL = "rival"  # another length scale fits too nearly as well
+    IMPRECISE = "imprecise"  # a parameter is known too poorly, or not at all
+    VEHICLE = "vehicle"  # the vehicle that fits best cannot be
+    NO_CELLS = "no-cells"  # waves were found that make no cells of one flow or two
+    MEAN_VELOCITY = "mean-velocity"  # the readout gives no mean velocity above zero
+    SHORT_TRACK = "short-track"  # the flight covers less than one period of the flow
+    MISFIT = "misfit"  # there is a flow, but it is not the one that was fitted
 
 
 @dataclass(frozen=True)
@@ -116,42 +95,6 @@ class RungEstimate:
     residual: float
 
 
-@dataclass(frozen=True, eq=False)
-class FlowUncertainty:
-    """The standard error of the velocity of `Estimate.flow` is at any place and time.
-
-    Args:
-        waves: (k_x, k_y, omega, a, b) of each (j, 5), in the coordinates and time of the flight.
-        covariance: of these, row by row, and of the uniform velocity: (5 j + 2, 5 j + 2).
-    """
-
-    waves: Array
-    covariance: Array
-
-    def standard_error(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
-        """Return the standard error of the velocity [m/s], shape (..., 2), at x, y [m] and t [s].
-
-        It holds where the shape of the flow does: far from the flight it grows with the distance,
-        to first order, and says nothing of a flow that changes there.
-        """
-        given = np.broadcast_arrays(*(np.asarray(value, np.float64) for value in (x, y, t)))
-        east, north, time = (value.ravel() for value in given)
-        slopes = []
-        for kx, ky, omega, a, b in self.waves:
-            cos, sin = (turn(kx * east + ky * north - omega * time) for turn in (np.cos, np.sin))
-            height, bend = b * cos - a * sin, -(a * cos + b * sin)  # psi', psi'' by the phase
-            by_phase = np.stack([ky * bend, -kx * bend])
-            slopes += [by_phase * east, by_phase * north, -by_phase * time]
-            slopes += [np.stack([-ky * sin, kx * sin]), np.stack([ky * cos, -kx * cos])]
-            slopes[-5][1] -= height
-            slopes[-4][0] += height
-        slopes += [np.repeat(unit[:, None], east.size, axis=1) for unit in np.eye(2)]
-        every = np.array(slopes)
-        variance = np.einsum("idm,ij,jdm->md", every, self.covariance, every)
-        errors: Array = np.sqrt(np.maximum(variance, 0.0)).reshape(*given[0].shape, 2)
-        return errors
-
-
 @dataclass(frozen=True, kw_only=True)
 class ShapeEstimate:
     """The flow as a whole, in the coordinates and the time of the flight.
@@ -164,7 +107,6 @@ class ShapeEstimate:
         rungs: every shape that was tried.
         scales: all cellular flows, fastest first, where several are sought or found.
         flow: to be evaluated anywhere.
-        flow_uncertainty: of a flow of waves.
         rival_length_scale: of the best other lobe [m].
     """
 
@@ -175,7 +117,6 @@ class ShapeEstimate:
     rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
     scales: tuple[ScaleEstimate, ...] = ()
     flow: FlowField | None = field(default=None, repr=False)
-    flow_uncertainty: FlowUncertainty | None = field(default=None, repr=False)
     rival_length_scale: float = math.nan
 
 
@@ -258,9 +199,8 @@ class Estimate(Brief, ScaleEstimate, ShapeEstimate, LogEstimate):
         return f"ok: {', '.join(parameters)}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The estimate as JSON-ready values; NaN becomes None. `flow_uncertainty` is left out."""
-        values = asdict(replace(self, flow_uncertainty=None))
-        del values["flow_uncertainty"]
+        """The estimate as JSON-ready values; NaN becomes None."""
+        values = asdict(self)
         values["weights_by_scale"] = [[s, w] for s, w in self.weights_by_scale.items()]
         first = ("mean_velocity", "length_scale", "timescale", "status", "reason", "uncertainty")
         ready: dict[str, Any] = finite_or_none({name: values.pop(name) for name in first} | values)

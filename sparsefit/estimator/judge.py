@@ -27,11 +27,18 @@ QUANTITIES = {
 MORE = "more than noise is left"
 
 
+def unidentifiable(doubt: Doubt, words: str) -> Verdict:
+    """The verdict on a flow that is not told."""
+    return Verdict("unidentifiable", words, doubt)
+
+
+def misfit(words: str) -> Verdict:
+    """The verdict on another flow, vehicle or log than was fitted."""
+    return Verdict("misfit", words, Doubt.MISFIT)
+
+
 def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[Verdict]:
     """Doubts before a flow is searched for; free: as in `doubts_of_flow`."""
-
-    def unidentifiable(doubt: Doubt, words: str) -> Verdict:
-        return Verdict("unidentifiable", words, doubt)
 
     samples, phi = len(prepared.samples.time), prepared.flow_velocity
     if samples <= 20:  # they say nothing of their own noise
@@ -73,12 +80,6 @@ def doubts_of_flow(
         precision: the largest half-width of an interval, as a share of the value.
         free: what was freed by the estimator's settings, or may be ("auto").
     """
-
-    def unidentifiable(doubt: Doubt, words: str) -> Verdict:
-        return Verdict("unidentifiable", words, doubt)
-
-    def misfit(words: str) -> Verdict:
-        return Verdict("misfit", words, Doubt.MISFIT)
 
     grid = prepared.library.grid
     least = min((scale.length_scale for scale in scales), default=grid.lower)

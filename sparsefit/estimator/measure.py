@@ -22,7 +22,6 @@ from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.estimator.estimate import (
     FlightEstimate,
-    FlowUncertainty,
     RungEstimate,
     ScaleEstimate,
 )
@@ -62,6 +61,32 @@ MOSTLY = 0.5  # of the variance of the air that waves explain, whatever a vehicl
 
 
 @dataclass(frozen=True, eq=False)
+class Start:
+    """A proposal at the maximum of its likelihood, without turbulence and perhaps with it."""
+
+    proposal: Proposal
+    calm: Posterior
+    gusty: Posterior | None = None
+
+    @property
+    def likelier(self) -> Posterior:
+        """The posterior of the lower BIC."""
+        return min((own for own in (self.calm, self.gusty) if own), key=lambda own: own.bic)
+
+    @cached_property
+    def loose(self) -> bool:
+        """Whether waves make no cells; cells among them are measured with others as turbulence."""
+        kx, ky, a, b, _ = self.calm.model.pattern.waves.T
+        parts = flows_of(np.column_stack([kx, ky]), np.column_stack([a, b]))
+        return len(kx) % 2 == 1 or (len(kx) == 4 and len(parts) == 1)
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The order of starts: cells first, each by BIC."""
+        return self.loose, self.likelier.bic
+
+
+@dataclass(frozen=True, eq=False)
 class Measured:
     """A flow at the maximum of its likelihood.
 
@@ -91,26 +116,6 @@ class Measured:
     def waves(self) -> Array:
         """(k_x, k_y, omega, a, b) (j, 5) in the coordinates and the time of the flight."""
         return self.posterior.model.pattern.about((0.0, 0.0, 0.0)).waves[:, [0, 1, 4, 2, 3]]
-
-    @cached_property
-    def covariance(self) -> Array:
-        """Of the waves, row by row, and of the uniform velocity: (5 j + 2, 5 j + 2)."""
-        pattern, names = self.posterior.model.pattern, self.posterior.names
-        own = pattern.about((0.0, 0.0, 0.0))
-        slopes = own.jacobian.reshape(len(own.waves), 5, -1)[:, [0, 1, 4, 2, 3]]
-        if any(pattern.origin):  # phases of the posterior count from there
-            x, y, t = pattern.origin
-            shift = slopes[:, 0] * x + slopes[:, 1] * y - slopes[:, 2] * t
-            slopes[:, 3] -= self.waves[:, 4:] * shift
-            slopes[:, 4] += self.waves[:, 3:4] * shift
-        gradient = np.zeros((5 * len(slopes) + 2, len(names)))
-        gradient[:-2, [names.index(name) for name in pattern.names]] = slopes.reshape(
-            -1, slopes.shape[2]
-        )
-        for row, name in enumerate(WIND, len(gradient) - 2):
-            if name in names:
-                gradient[row, names.index(name)] = 1.0
-        return gradient @ self.posterior.covariance @ gradient.T
 
     @cached_property
     def flows(self) -> list[tuple[Array, Array]]:
@@ -178,7 +183,6 @@ class Measured:
             "scales": tuple(scales) if several or len(scales) > 1 else (),
             "shape": pattern.shape,
             "flow": SuperposedFlow((flow,), (uniform[0], uniform[1])) if any(uniform) else flow,
-            "flow_uncertainty": FlowUncertainty(waves, self.covariance),
             "goodness": self.goodness,
             "freed": self.freed,
             "constancy": constancy,
@@ -246,40 +250,41 @@ def measure_flow(
         within = (lengths > 0.75 * grid.lower).all() and (lengths < 1.25 * grid.upper).all()
         if own.residual <= WORSE * least and within:
             likely.append(own)
-    trials: list[tuple[Posterior, Posterior | None, Proposal]] = []
+    starts: list[Start] = []
     chosen = lobes(likely, near)[:MOST]
     chosen.sort(key=lambda own: len(own.wavevectors) % 2)  # an odd number makes no cells
     for proposal in chosen:
-        if len(proposal.wavevectors) % 2 and not all(_loose(there) for there, _, _ in trials):
+        if len(proposal.wavevectors) % 2 and not all(own.loose for own in starts):
             break
-        pairs = zip(prepared.flights, proposal.vehicles, strict=True)
-        pattern = _pattern(proposal)
+        waves = proposal.wavevectors, proposal.cosine, proposal.sine
+        pattern = StreamPattern.of_waves(proposal.shape, *waves, proposal.velocity)
+        triples = zip(prepared.flights, proposal.vehicles, late, strict=True)
         models = [
-            Model.of_flight(pattern, *pair, proposal.background).free(*constants) for pair in pairs
-        ]
-        models = [
-            model.at({"latency": own}) if own else model
-            for model, own in zip(models, late, strict=True)
+            Model.of_flight(pattern, flight, vehicle, proposal.background)
+            .free(*constants)
+            .at({"latency": latency} if latency else {})
+            for flight, vehicle, latency in triples
         ]
         there = fitted(logs, models)
         for name in names:
             if there is not None and FREEDOMS[name].wanders:
                 there = fitted(logs, with_process(there.models, process_of(name, there)), there)
         if there is not None and alike(there, proposal, near):
-            trials.append((there, None, proposal))
-    if not trials:
+            starts.append(Start(proposal, there))
+    if not starts:
         return None
-    trials.sort(key=lambda trial: (_loose(trial[0]), _bic(trial)))
-    for place, (there, _, proposal) in enumerate(trials[:GUSTY]):
-        if _loose(there) > _loose(trials[0][0]):  # cells come first, the rest is turbulence
+    starts.sort(key=lambda own: own.rank)
+    for place, start in enumerate(starts[:GUSTY]):
+        if start.loose > starts[0].loose:  # cells come first, the rest is turbulence
             break
-        if disturbed(there) and "turbulence" not in names:
-            gusty = fitted(logs, with_process(there.models, process_of("turbulence", there)), there)
-            if gusty is not None and alike(gusty, proposal, near):
-                trials[place] = there, gusty, proposal
-    trials.sort(key=lambda trial: (_loose(trial[0]), _bic(trial)))
-    best, gusty, proposal = trials[0]
-    likelier = gusty if gusty is not None and gusty.bic < best.bic else best
+        if disturbed(start.calm) and "turbulence" not in names:
+            gusts = process_of("turbulence", start.calm)
+            gusty = fitted(logs, with_process(start.calm.models, gusts), start.calm)
+            if gusty is not None and alike(gusty, start.proposal, near):
+                starts[place] = replace(start, gusty=gusty)
+    starts.sort(key=lambda own: own.rank)
+    best, *others = starts
+    proposal, likelier = best.proposal, best.likelier
     diagnosis = Diagnosis(likelier, likelier)
     goodness = Goodness.of(likelier, diagnosis)
     white = goodness.whiteness > 1e-6 or likelier.exact or likelier.pushed
@@ -288,7 +293,7 @@ def measure_flow(
     if excess > -HIDDEN or goodness.r_squared > MOSTLY:
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
         diagnosis = diagnose(
-            logs, best, names, shapes=shapes, ready=gusty,
+            logs, best.calm, names, shapes=shapes, ready=best.gusty,
             inside=lambda own: alike(own, proposal, around),
         )  # fmt: skip
     posterior, suspects = diagnosis.believed, diagnosis.suspects
@@ -298,11 +303,11 @@ def measure_flow(
     if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
     rivals = [
-        trial[2]
-        for trial in trials[1:]
-        if not _loose(trial[0])
-        and _bic(trial) - _bic(trials[0]) < CLOSE
-        and min(_apart(own, trial[0]) for own in (best, diagnosis.posterior)) > APART
+        own.proposal
+        for own in others
+        if not own.loose
+        and own.rank[1] - best.rank[1] < CLOSE
+        and min(_apart(each, own.calm) for each in (best.calm, diagnosis.posterior)) > APART
     ]
     goodness = Goodness.of(posterior, diagnosis)
     excess += 2 * (diagnosis.posterior.log_likelihood - likelier.log_likelihood)
@@ -314,37 +319,21 @@ def measure_flow(
     )  # fmt: skip
 
 
-def _bic(trial: tuple[Posterior, Posterior | None, Proposal]) -> float:
-    """The lower BIC of a start, with turbulence or without."""
-    return min(own.bic for own in trial[:2] if own is not None)
-
-
-def _loose(posterior: Posterior) -> bool:
-    """Whether waves make no cells; cells among them are measured with the others as turbulence."""
-    kx, ky, a, b, _ = posterior.model.pattern.waves.T
-    parts = flows_of(np.column_stack([kx, ky]), np.column_stack([a, b]))
-    return len(kx) % 2 == 1 or (len(kx) == 4 and len(parts) == 1)
-
-
-def _pattern(proposal: Proposal) -> StreamPattern:
-    """The pattern of a proposal."""
-    waves = proposal.wavevectors, proposal.cosine, proposal.sine
-    return StreamPattern.of_waves(proposal.shape, *waves, proposal.velocity)
+def _freedom(proposal: Proposal) -> tuple[int, bool]:
+    """The order of proposals by their parameters."""
+    return SHAPES.index(proposal.shape), proposal.velocity is not None
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
     """The proposal with fewest parameters of each set of waves that are near to each other."""
     chosen: list[Proposal] = []
-    for proposal in proposals:
+    for own in proposals:
         for place, other in enumerate(chosen):
-            if _near(proposal.wavevectors, other.wavevectors, near):
-                chosen[place] = min(
-                    *(other, proposal),
-                    key=lambda own: (SHAPES.index(own.shape), own.velocity is not None),
-                )
+            if _near(own.wavevectors, other.wavevectors, near):
+                chosen[place] = min(other, own, key=_freedom)
                 break
         else:
-            chosen.append(proposal)
+            chosen.append(own)
     return chosen
 
 

@@ -72,12 +72,10 @@ class Agreement:
     Args:
         wander: rms of a correlated error of the position [m], 0 where there is none.
         wander_time: its correlation time [s].
-        broken: whether the velocity is not that of the position at all.
     """
 
     wander: float = 0.0
     wander_time: float = math.nan
-    broken: bool = False
 
     @classmethod
     def of(cls, model: Model) -> Agreement | None:
@@ -99,7 +97,6 @@ class Goodness:
         turbulence: along the path, rms of a component about its mean [m/s]; 0 where there is none.
         turbulence_share: the same over the mean velocity U0 of the fastest flow.
         suspect: what explains the flight beside its flow, where something does.
-        flight: of several flights the number of the one that says so, from 1; else 0.
         flights: the same of each of several flights.
     """
 
@@ -109,7 +106,6 @@ class Goodness:
     turbulence: float = math.nan
     turbulence_share: float = math.nan
     suspect: Suspect | None = None
-    flight: int = 0
     flights: tuple[Goodness, ...] = ()
 
     @classmethod
