@@ -15,7 +15,6 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +32,7 @@ from sparsefit.study.problem_desk import own_fraction
 from sparsefit.study.worker import Answer, Ask
 
 JUDGE = "judge"
-READY_SECONDS, JUDGE_SECONDS = 120.0, 300.0  # to copy arrays, to certify
-SAME = 1e-9  # share of the largest weight by which an answer is that of the first repeat
-WORSE = 1e3  # times the first excess: the answer is of another problem
-NOTHINGS = 9  # asks for nothing, of which the median is the clock's own time
-CONFIDENCE = 0.95
-AHEAD = 1.2  # wall over CPU seconds beyond which a measurement was disturbed
-SHORT = 1e-3  # s of wall below which the ratio says nothing
-SLOW = 0.3  # s: a first run this long needs no warm-up of its own, and counts
+READY_SECONDS = 120.0  # to copy arrays
 
 
 def median_interval(values: Sequence[float]) -> tuple[float, float, float]:
@@ -51,20 +43,11 @@ def median_interval(values: Sequence[float]) -> tuple[float, float, float]:
     """
     if not len(values):
         return math.nan, math.nan, math.nan
-    ordered, outside = np.sort(values), _outside(len(values))
+    ordered, n = np.sort(values), len(values)
+    below = np.cumsum([math.comb(n, j) * 0.5**n for j in range(n)])  # P(B <= j)
+    outside = int(np.searchsorted(below, 0.025, "right"))
     ends = (ordered[outside - 1], ordered[-outside]) if outside else (math.nan, math.nan)
     return float(np.median(ordered)), float(ends[0]), float(ends[1])
-
-
-@cache
-def _outside(count: int) -> int:
-    """The largest j of `median_interval`, 0 where there is none."""
-    from scipy.stats import binom  # slow to import, and of no use to a worker
-
-    outside = int(binom.ppf((1 - CONFIDENCE) / 2, count, 0.5))
-    while outside and 2 * binom.cdf(outside - 1, count, 0.5) > 1 - CONFIDENCE:
-        outside -= 1
-    return outside
 
 
 @dataclass
@@ -75,9 +58,9 @@ class Repeats:
     spent: float = 0.0
 
     def note(self, wall: float, cpu: float, *, first: bool) -> None:
-        """One more run; a short first one has only warmed up, and is not counted."""
+        """One more run; a first one below .3 s has only warmed up, and is not counted."""
         self.spent += wall
-        if not first or wall > SLOW:
+        if not first or wall > 0.3:
             self.seconds["wall"].append(wall)
             self.seconds["cpu"].append(cpu)
 
@@ -88,18 +71,18 @@ class Repeats:
         return bool(spent or made >= clock.repeats or self.columns(clock)["known"])
 
     def columns(self, clock: Clock) -> dict[str, Value]:
-        """Medians, intervals, and whether the median of the wall is known as well as asked for."""
-        told: dict[str, Value] = {}
-        for name, seconds in self.seconds.items():
-            keys = (name, f"{name}_low", f"{name}_high")
-            told |= dict(zip(keys, median_interval(seconds), strict=True))
-        wall, low, high, cpu = (
-            float(told[name]) for name in ("wall", "wall_low", "wall_high", "cpu")
-        )
-        told["repeats"] = len(self.seconds["wall"])
-        told["known"] = high - low <= 2.0 * clock.precision * wall
-        told["disturbed"] = wall > SHORT and wall > AHEAD * cpu
-        return told
+        """Medians, intervals, whether the median of the wall is known as well as asked for, and
+        whether the wall ran ahead of the CPU, which says nothing below a millisecond.
+        """
+        wall, low, high = median_interval(self.seconds["wall"])
+        cpu, *ends = median_interval(self.seconds["cpu"])
+        return {
+            **{"wall": wall, "wall_low": low, "wall_high": high},
+            **{"cpu": cpu, "cpu_low": ends[0], "cpu_high": ends[1]},
+            "repeats": len(self.seconds["wall"]),
+            "known": high - low <= 2.0 * clock.precision * wall,
+            "disturbed": wall > 1e-3 and wall > 1.2 * cpu,
+        }
 
 
 class Over(Exception):  # noqa: N818 - it ends a case, and is no error of ours
@@ -173,7 +156,7 @@ class Arena:
                 yield from self._tried(case, self._repeat(case, turn))
         for case in cases:
             if self.design.holds_out and not case.status:
-                yield from self._tried(case, self._hold_out(case))
+                yield from self._tried(case, self._hold_out(case), "on a part of the rows: ")
         yield from map(self._outcome, cases)
 
     def _case(self, cell: int) -> Case:
@@ -184,11 +167,11 @@ class Arena:
             case.points = len(self.design.fractions) or 1 if own_fraction(backend) else 1
         return case
 
-    def _tried(self, case: Case, steps: Asking[None]) -> Asking[None]:
+    def _tried(self, case: Case, steps: Asking[None], where: str = "") -> Asking[None]:
         try:
             yield from steps
         except Over as over:
-            case.status, case.reason = over.args
+            case.status, case.reason = over.args[0], f"{where}{over.args[1]}"
 
     def _begin(self, case: Case, cases: Sequence[Case]) -> Asking[None]:
         """The first solve, which is judged, and timed where it was too long to only warm up."""
@@ -210,11 +193,11 @@ class Arena:
         first, before = case.weights, case.values["excess"]
         assert first is not None
         case.repeats.note(*seconds, first=False)
-        if np.abs(weights - first).max() <= SAME * np.abs(first).max():
+        if np.abs(weights - first).max() <= 1e-9 * np.abs(first).max():
             return
         yield from self._judge(case, weights)
         after = case.values["excess"]
-        if after > max(WORSE * before, self._requested(case)):
+        if after > max(1e3 * before, self._requested(case)):
             words = "a timed repeat answered another problem than it was given"
             raise Over("error", f"{words}: off by {after:.1e} of the objective at zero")
 
@@ -253,7 +236,7 @@ class Arena:
             raise Over(*crew.lost[case.number])
         if desk not in crew.overhead:
             walls = []
-            for _ in range(NOTHINGS):
+            for _ in range(9):
                 answer = yield from self._ask(case, "nothing", {}, READY_SECONDS, timed=True)
                 walls.append(answer.wall)
             crew.overhead[desk] = float(np.median(walls))
@@ -304,7 +287,7 @@ class Arena:
         np.save(path, weights)
         content = {"file": str(self.file), "contender": case.number, "weights": str(path)}
         how: Any = {"desk": JUDGE, "words": "the certificate"}
-        answer = yield from self._ask(case, "verdict", content, JUDGE_SECONDS, **how)
+        answer = yield from self._ask(case, "verdict", content, 300.0, **how)
         case.values["certificate_kind"] = str(answer.content.get("kind", ""))
         for name, key in (("certificate", "gap"), ("excess", "excess")):
             value = _number(answer.content, key)
@@ -317,21 +300,14 @@ class Arena:
         assert weights is not None
         if data.samples is not None:  # compressed rows are no samples
             return
-        point, errors, bases = 0, list[Array](), list[float]()
-        for fold in np.array_split(np.arange(m), FOLDS):
-            if not len(fold):
-                continue
-            try:
-                fitted, *_ = yield from self._solve(case, without=(int(fold[0]), int(fold[-1]) + 1))
-            except Over as over:
-                status, reason = over.args
-                raise Over(status, f"on a fold of the rows: {reason}"[:MAX_REASON]) from None
-            seen = np.delete(data.target, fold, 0)
-            errors.append(missed(data.theta[fold[0] : fold[-1] + 1], data.target[fold], fitted))
-            bases.append(_squares(data.target[fold], seen))
-        if errors:
-            case.values |= cross_validated(np.array(errors), np.array(bases))
-            point = int(np.sum(errors, axis=0).argmin())
+        errors, bases = list[Array](), list[float]()
+        for fold in np.array_split(np.arange(m), min(FOLDS, m)):
+            out = slice(int(fold[0]), int(fold[-1]) + 1)
+            fitted, *_ = yield from self._solve(case, without=(out.start, out.stop))
+            errors.append(missed(data.theta[out], data.target[out], fitted))
+            bases.append(_squares(data.target[out], np.delete(data.target, out, 0)))
+        case.values |= cross_validated(np.array(errors), np.array(bases))
+        point = int(np.sum(errors, axis=0).argmin())
         if self.design.fractions:
             case.values["alpha_fraction"] = self.design.fractions[point]
         if data.test is not None:

@@ -81,9 +81,6 @@ KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, 
     "dataset": (),
     "generator": ("count", *names_of(Generator)),
 }
-AS_IT_IS = "as it is"
-ALTERED = 300  # the child of a flight's stream that an alteration is drawn from
-GENERATED = 301  # the child that a generated problem is drawn from
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +110,8 @@ class ProblemSource:
             if self.test is not None:
                 rows = read_data(self.test).real()
                 data = replace(data, test=(rows.theta, rows.target))
-            if self.alter != AS_IT_IS:
-                random = np.random.default_rng(stream(self.seed, 0, ALTERED))
+            if self.alter != "as it is":
+                random = np.random.default_rng(stream(self.seed, 0, 300))
                 data = Data(*altered(self.alter, data.theta, data.target, random), data.groups)
             RegressionProblem.from_arrays(data.theta, data.target, data.groups)
         except InputError as error:
@@ -285,7 +282,7 @@ def _read_problem(
     for number, (make, identity) in enumerate(made, 1):
         numbered_name = f"{name} {number}" if len(made) > 1 else name
         for alter in keys.alter:
-            own = f"{numbered_name}, {alter}" if alter != AS_IT_IS else numbered_name
+            own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
             whole_identity = canonical_json([identity, None, beside, alter, seed])
             series = str(entry.get("name", entry[kind]))
             yield ProblemSource(own, series, make, whole_identity, alter, seed, test)
@@ -300,7 +297,7 @@ def _flown(setup: Setup, flight: int, count: int, seed: int) -> Data:
 
 
 def _drawn(rules: Generator, seed: int, number: int) -> Data:
-    return drawn(rules, np.random.default_rng(stream(seed, number, GENERATED)))
+    return drawn(rules, np.random.default_rng(stream(seed, number, 301)))
 
 
 def _read_contenders(

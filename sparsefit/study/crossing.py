@@ -42,7 +42,6 @@ Sections: TypeAlias = Mapping[str, Section]
 Levels: TypeAlias = Mapping[str, object]  # values by dotted key
 Protocols: TypeAlias = Mapping[str, Levels]  # what each named alternative overrides
 Grid: TypeAlias = Mapping[str, Sequence[Any]]
-MOST_POINTS = 100_000  # of the grid of settings of one entry
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "flights": FLIGHT_KEYS,
     "derivative": names_of(Derivative),
@@ -257,8 +256,8 @@ def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]
                 raise here.error(f"{words}, not {shown(item)}")
             if not isinstance(item, bool | str):
                 number(item, here)
-    if (size := math.prod(map(len, grid.values()))) > MOST_POINTS:
-        raise place.error(f"has a grid of {size} settings: {MOST_POINTS} are the most")
+    if (size := math.prod(map(len, grid.values()))) > 100_000:
+        raise place.error(f"has a grid of {size} settings: 100000 are the most")
     return grid
 
 

@@ -37,7 +37,6 @@ from sparsefit.errors import InputError, MissingExtra, one_of
 from sparsefit.study.keys import MOST_VALUES, DataSet, Generator
 
 MOST_BYTES = 1 << 30  # of a file
-LABEL_BYTES = 256  # of a label of a group
 CLASSIFIED = ("digits", "iris", "wine", "breast-cancer")
 DATASETS: tuple[str, ...] = get_args(DataSet)
 GENERATORS: dict[str, dict[str, Any]] = {  # the settings that a name stands for
@@ -106,7 +105,7 @@ def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
                 shape, _, kind = read(stream)
             name = member.removesuffix(".npy")
             real = kind.kind in "fiub" or name == "groups"
-            if kind.hasobject or kind.itemsize > LABEL_BYTES or not real:
+            if kind.hasobject or kind.itemsize > 256 or not real:
                 raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
             shapes[name] = shape
     if missing := {"theta", "target"} - set(shapes):

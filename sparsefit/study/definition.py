@@ -57,8 +57,6 @@ from sparsefit.study.schema import (
 from sparsefit.study.toml_file import Section, canonical_json, read_toml
 
 MOST_CASES = 2_000_000
-# What a case does not depend on: changing it never makes finished rows those of another study.
-PRESENTATION = ("kind", "question", "select", "outputs")
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +178,8 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
     That is not comments, the question, [select], [outputs] or words; of flights that come from
     files, the content of these too.
     """
-    content: dict[str, object] = {k: v for k, v in document.items() if k not in PRESENTATION}
+    shown_only = ("kind", "question", "select", "outputs")
+    content: dict[str, object] = {k: v for k, v in document.items() if k not in shown_only}
     sections = {name: dict(section_of(document, name, place)) for name in READING}
     required(document, "flights", place)
     flights, within = sections["flights"], place.within("flights")

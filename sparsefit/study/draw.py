@@ -53,22 +53,19 @@ from sparsefit.whole_file import read_whole
 
 MOST_FILES = 1000
 SIMULATION = 0
-FAULTY = 100  # the child of a flight's stream that its faults are drawn from
-OTHERS = 200  # the first child that other flights through the same flow start from
-TOGETHER = 1000  # the first child of the flights that are estimated with it
 NOISES = ("process_noise", "position_noise", "velocity_noise", "time_jitter", "thrust_noise")
 BELIEFS = tuple(name for name in QUANTITIES if name.startswith("believed_"))
 KEYS = (*names_of(FlightWords), *QUANTITIES)
 RULES = ("uniform", "loguniform", "linspace")
-EITHER = (  # keys that say one thing twice
-    ("wind", "wind_ratio"),
-    ("measurement_noise", "velocity_noise"),
-    ("measurement_noise", "position_noise"),
-)
 
 
 def stream(seed: int, flight: int, index: int) -> np.random.SeedSequence:
-    """The random stream number `index` of a flight."""
+    """The random stream number `index` of a flight.
+
+    0 is the simulation's, whose child 100 the faults are drawn from; other flights through its flow
+    have those from 200 on, flights that are estimated with it those from 1000 on. Quantities have
+    1, 2 ... in their order; alterations of a problem 300, problems that are drawn 301.
+    """
     return np.random.SeedSequence(seed, spawn_key=(flight, index))
 
 
@@ -191,21 +188,21 @@ class Draw:
         }
         faults = LogFaults(**given)
         if faults != LogFaults():
-            flight = faults.spoil(flight, _child(seed, FAULTY))
+            flight = faults.spoil(flight, _child(seed, 100))
         return flight if self.believed is None else replace(flight, vehicle=self.believed)
 
     def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight, ...]:
         """The flights that are estimated together: this one, and others from other places."""
         elsewhere = self._without("position_x", "position_y")
         together = round(self.values.get("together", 1.0))
-        beside = (elsewhere.fly(_child(seed, TOGETHER + n)) for n in range(1, together))
+        beside = (elsewhere.fly(_child(seed, 1000 + n)) for n in range(1, together))
         return (self.fly(seed), *beside)
 
     def others(self, seed: np.random.SeedSequence, count: int) -> tuple[Flight, ...]:
         """Other flights through the same flow: from other places, without noise or faults."""
         faults = (key for key, row in QUANTITIES.items() if row.fault)
         clean = self._without(*BELIEFS, *faults, *NOISES, "position_x", "position_y")
-        flights = (clean.fly(_child(seed, OTHERS + number)) for number in range(count))
+        flights = (clean.fly(_child(seed, 200 + number)) for number in range(count))
         return tuple(replace(flight, vehicle=clean.vehicle) for flight in flights)
 
     def _without(self, *names: str) -> Draw:
@@ -312,7 +309,9 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
     for name, by in needed.items():
         if name not in given:
             raise place.at(name).error(f"missing: {by} needs it")
-    for name, other in EITHER:
+    noise = "measurement_noise"
+    twice = (("wind", "wind_ratio"), (noise, "velocity_noise"), (noise, "position_noise"))
+    for name, other in twice:
         if name in given and other in given:
             raise place.at(name).error(f"and {other} say one thing: drop one of them")
     rules: dict[str, DrawRule] = {}

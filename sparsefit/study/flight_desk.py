@@ -44,8 +44,6 @@ from sparsefit.study.draw import SIMULATION, Draw, FlightRules, Logged, Logs, st
 from sparsefit.study.worker import resident
 
 ALPHA = "alpha_fraction"
-WITHIN = 1.0  # percent: the error within which all length scales count as right
-EXACT = 1e-6  # noise of a known position and velocity, in L and U0
 
 
 @dataclass(frozen=True)
@@ -100,7 +98,7 @@ class Reading:
             numbers = (estimate.mean_velocity, estimate.length_scale, estimate.timescale)
             scales = (ScaleEstimate(*numbers, estimate.grid_length_scale),)
         told: dict[str, Any] = {"score": score_scales(scales, flow)}
-        told["within_1_percent"] = told["score"].within(WITHIN)
+        told["within_1_percent"] = told["score"].within(1.0)
         both: Any = (("true", flow.cells), ("estimated", scales))
         for name, listed in both:
             pairs = [(scale.length_scale, scale.mean_velocity) for scale in listed]
@@ -149,7 +147,7 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     pattern, models = StreamPattern.of_waves("axis", waves, cosine, np.zeros(2)), []
     for flown in fleet:
         density = noise * math.sqrt(flown.duration / (flown.samples - 1))  # [m/s^2/sqrt(Hz)]
-        noises = Disturbance(density, EXACT * scale, EXACT * speed)
+        noises = Disturbance(density, 1e-6 * scale, 1e-6 * speed)  # what is known has none
         model = Model.of_flight(pattern, flown, draw.vehicle, (0.0, 0.0))
         models.append(replace(model, disturbance=noises))
     states = [np.hstack([flown.position, flown.velocity]) for flown in fleet]

@@ -29,7 +29,6 @@ from sparsefit.study.plan import Asking, Batch, Experiment
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 from sparsefit.study.worker import Answer, Ask
 
-FLIGHT_KINDS = kinds_of(FLIGHT_COLUMNS)
 WORK = {"fly": "simulating the flight", "prepare": "building the library", "cases": "fitting"}
 
 
@@ -42,12 +41,10 @@ class FlightExperiment(Experiment):
 
     @property
     def design(self) -> FlightDesign:
-        """The flights and cells of the study file."""
         return self.definition.flights
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
-        """The flights, which are known by their numbers."""
         count = self.design.count
         return {
             "flight": list(range(count)),
@@ -58,7 +55,6 @@ class FlightExperiment(Experiment):
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
-        """Condition, candidate, title and factors of every cell."""
         cells, protocols = self.design.cells, self.design.protocols
         worlds, readings = (_halves(protocols, flights=half) for half in (True, False))
         words = _setting_words(cells)
@@ -122,27 +118,27 @@ class FlightExperiment(Experiment):
         return f"{unit:04d}-{self.design.cells[cell].key}"
 
     def version(self, cell: int) -> str:
-        """The code, and a plug-in's."""
         return code_version(backends.distribution(self.design.cells[cell].choice.name))
 
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
-        """The columns of the true flow."""
         rules, design = self.design.cells[cell].setup.flights, self.design
         return truth_of(rules.draw(unit, design.count, self.definition.seed))
 
     @cached_property
     def _shared(self) -> dict[str, list[int]]:
-        """The numbers of the flight, problem and ask that each cell shares with others.
+        """The numbers of the batch, problem and ask that each cell shares with others.
 
-        An ask is one fit, or those of a path over penalties.
+        A batch is of a condition and a desk, so that nothing is simulated twice; an ask is one fit,
+        or those of a path over penalties.
         """
-        places: dict[str, dict[object, int]] = {name: {} for name in ("flight", "problem", "ask")}
+        places: dict[str, dict[object, int]] = {name: {} for name in ("batch", "problem", "ask")}
         numbers: dict[str, list[int]] = {name: [] for name in places}
         for cell in self.design.cells:
             setup, along = cell.setup, {ALPHA} if path_fractions(cell) else set()
             others = canonical_json({k: v for k, v in cell.settings.items() if k not in along})
             rows = (setup.flights, setup.derivative, setup.library, setup.online)
-            keys = {"flight": setup.flights, "problem": rows, "ask": (rows, cell.choice, others)}
+            batch = (setup.flights, self._desk_of(cell))
+            keys = {"batch": batch, "problem": rows, "ask": (rows, cell.choice, others)}
             for name, key in keys.items():
                 numbers[name].append(places[name].setdefault(key, len(places[name])))
         return numbers
@@ -151,21 +147,14 @@ class FlightExperiment(Experiment):
         """All of a flight's steps; back-ends of others have a process of their own."""
         return FlightDesk, (self.definition,)
 
-    @cached_property
-    def _desks(self) -> list[str]:
-        names = [cell.choice.name for cell in self.design.cells]
-        return ["flights" if n in backends.BACKENDS else f"back-end {n}" for n in names]
+    def _desk_of(self, cell: Cell) -> str:
+        name = cell.choice.name
+        return "flights" if name in backends.BACKENDS else f"back-end {name}"
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
-        """A batch per flight, condition and desk, so that nothing is simulated twice."""
-        groups: dict[tuple[int, str], list[int]] = {}
-        for cell, key in enumerate(zip(self._shared["flight"], self._desks, strict=True)):
-            groups.setdefault(key, []).append(cell)
-        for unit in np.flatnonzero(wanted.any(axis=1)).tolist():
-            row = wanted[unit].tolist()
-            for group in groups.values():
-                if cells := [cell for cell in group if row[cell]]:
-                    yield Batch(unit, tuple(cells))
+        for unit, row in enumerate(wanted):
+            for cells in self._split(np.flatnonzero(row).tolist(), "batch"):
+                yield Batch(unit, tuple(cells))
 
     def run(self, batch: Batch) -> Asking[None]:
         """Fly, prepare each library, then fit and read; a step that is lost costs its own cells.
@@ -210,17 +199,17 @@ class FlightExperiment(Experiment):
         return list(groups.values())
 
     def _ask(self, verb: str, unit: int, cells: list[int]) -> Ask:
-        fits = 1
+        fits, cell = 1, self.design.cells[cells[0]]
         if verb == "cases" and len(cells) > 1:
-            fits = max(len(path_fractions(self.design.cells[cells[0]])), 1) + len(cells) - 1
+            fits = max(len(path_fractions(cell)), 1) + len(cells) - 1
         limit = self.definition.run.case_timeout * fits
-        return Ask(verb, {"unit": unit, "cells": cells}, limit, self._desks[cells[0]])
+        return Ask(verb, {"unit": unit, "cells": cells}, limit, self._desk_of(cell))
 
     def _outcomes(self, unit: int, cells: list[int], answer: Answer) -> list[Outcome]:
         """The outcomes that an answer tells, held against the plan; raises where it is odd."""
-        outcomes = []
+        outcomes, kinds = [], kinds_of(self.columns)
         for cell, (own, status, reason, body) in zip(cells, answer.content["rows"], strict=True):
-            outcome = outcome_of(unit, own, status, reason, body, FLIGHT_KINDS)
+            outcome = outcome_of(unit, own, status, reason, body, kinds)
             estimate = [float(outcome.values.get(name, math.nan)) for name in self.judged]
             if own != cell:
                 raise ValueError("not the cases that were asked for")

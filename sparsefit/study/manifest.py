@@ -36,7 +36,6 @@ ROOTS = ("flight_experiment", "problem_experiment", "guardian")
 IMPORT = re.compile(
     r"(?m)^\s*(?:from sparsefit\.study(?:\.| import )|import sparsefit\.study\.)(\w+)"
 )
-SOURCES = (".py", ".pyx")
 DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
 COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
 
@@ -70,7 +69,7 @@ def sources() -> Iterator[Path]:
     for path in sorted(package.rglob("*")):
         room = path.relative_to(package).parts[0]
         counts = path in computing if room == "study" else room not in SHOWING
-        if path.suffix in SOURCES and counts:
+        if path.suffix in (".py", ".pyx") and counts:
             yield path
 
 

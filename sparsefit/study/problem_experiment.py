@@ -46,14 +46,12 @@ class ProblemExperiment(Experiment):
 
     @property
     def design(self) -> ProblemDesign:
-        """The problems and contenders of the study file."""
         design = self.definition.design
         assert isinstance(design, ProblemDesign)
         return design
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
-        """The problems."""
         sources = self.design.problems
         return {
             "flight": list(range(len(sources))),
@@ -66,7 +64,6 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
-        """Every contender at each of its tolerances."""
         pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
         identities = self.design.cell_identities()
         solvers = {(contender.objective, contender.solver) for contender, _ in pairs}
@@ -118,7 +115,6 @@ class ProblemExperiment(Experiment):
         return cells
 
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
-        """The size of the problem."""
         return size_of(self._data[unit])
 
     @cached_property
@@ -139,7 +135,6 @@ class ProblemExperiment(Experiment):
                     yield Batch(unit, tuple(mine))
 
     def run(self, batch: Batch) -> Asking[None]:
-        """Judge each case, time all by turns, then hold rows out."""
         data, file = self._data[batch.unit], Path(self._home.name) / f"{batch.unit}.npz"
         if not file.exists():
             write_data(data, file)

@@ -132,12 +132,12 @@ _ROWS = (
        fault="lost_samples"),
 )  # fmt: skip
 STREAMS = tuple(stream for row in _ROWS for stream in row.streams)
-BOTH_NOISES = Quantity(
+QUANTITIES = {row.name: row for row in _ROWS if row.name}
+QUANTITIES["measurement_noise"] = Quantity(
     "measurement_noise", "m/s, m", NOT_NEGATIVE,
     "`[velocity_noise, position_noise]` in one key, so that a sweep moves both.",
     ("velocity_noise", "position_noise"),
 )  # fmt: skip
-QUANTITIES = {row.name: row for row in (*_ROWS, BOTH_NOISES) if row.name}
 
 
 @dataclass(frozen=True)

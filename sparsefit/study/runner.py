@@ -24,7 +24,6 @@ from sparsefit.study.pool import outcomes
 from sparsefit.study.store import Store, clear, discard
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
-PROGRESS_SECONDS = 0.2  # not more often than an eye can follow
 
 
 @dataclass(frozen=True)
@@ -140,7 +139,7 @@ def run(
                 for outcome in arriving:
                     store.put(outcome, plan.versions[outcome.cell])
                     computed, spent = computed + 1, time.monotonic() - begun
-                    if computed == total or spent - shown > PROGRESS_SECONDS:
+                    if computed == total or spent - shown > 0.2:  # [s], what an eye can follow
                         shown = spent
                         ahead = spent / computed * (total - computed)
                         tell(resumed + computed, resumed + total, ahead)
