@@ -41,10 +41,12 @@ class FlightExperiment(Experiment):
 
     @property
     def design(self) -> FlightDesign:
+        """The flights and cells of the study file."""
         return self.definition.flights
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
+        """The flights, which are known by their numbers."""
         count = self.design.count
         return {
             "flight": list(range(count)),
@@ -55,6 +57,7 @@ class FlightExperiment(Experiment):
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
+        """Condition, candidate, title and factors of every cell."""
         cells, protocols = self.design.cells, self.design.protocols
         worlds, readings = (_halves(protocols, flights=half) for half in (True, False))
         words = _setting_words(cells)

@@ -46,12 +46,14 @@ class ProblemExperiment(Experiment):
 
     @property
     def design(self) -> ProblemDesign:
+        """The problems and cells of the study file."""
         design = self.definition.design
         assert isinstance(design, ProblemDesign)
         return design
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
+        """The problems."""
         sources = self.design.problems
         return {
             "flight": list(range(len(sources))),
@@ -64,6 +66,7 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
+        """Every contender at each of its tolerances."""
         pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
         identities = self.design.cell_identities()
         solvers = {(contender.objective, contender.solver) for contender, _ in pairs}
