@@ -1,7 +1,7 @@
 """The ladder of shapes: flows that flights bear out, as starts for the likelihood that measures.
 
 From where scans show waves (`sparsefit.model.search`) shapes are fitted to the rows
-(`sparsefit.model.fitting`), and around the best of them freer and simpler ones. With n rows worth
+(`sparsefit.model.shapes`), and around the best of them freer and simpler ones. With n rows worth
 counting and p parameters,
 
     BIC = n ln RSS + p ln n,
@@ -22,7 +22,6 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.model.fitting import ShapeFit, descended, fitted, joined
 from sparsefit.model.scan import WaveScan
 from sparsefit.model.search import EXACT, Search, spectrum
 from sparsefit.model.shapes import (
@@ -31,11 +30,15 @@ from sparsefit.model.shapes import (
     RECTANGLE,
     SQUARE,
     Shape,
+    ShapeFit,
     axis_cells,
+    descended,
+    fitted,
     free_waves,
+    joined,
     read_cells,
 )
-from sparsefit.model.unknowns import read_vehicles
+from sparsefit.model.unknowns import Pair, read_vehicles
 
 CLOSE = 10.0  # of BIC, to the best of all: a rival
 STAND = (AXIS, SQUARE, RECTANGLE)  # cells, the simplest first
@@ -44,47 +47,27 @@ Window = tuple[float, float, float]  # the wavenumber of a candidate, from where
 
 @dataclass(frozen=True)
 class Start:
-    """The proposals of a back-end's weights, hashable: equal ones lead to equal answers.
+    """The proposals of a back-end's weights, hashable: equal ones lead to equal answers."""
 
-    Args:
-        refine: ``variable-projection`` or ``ladder``.
-        lobe: the wavenumber [1/m] of the scan's lobe nearest to a candidate scale; 0: none.
-        windows: wavenumbers (k, low, high) [1/m] of several length scales, strongest first.
-        waves: wavevectors (k_x, k_y) [rad/m] of a wave library, strongest first.
-    """
-
-    refine: str = "ladder"
-    lobe: float = 0.0
-    windows: tuple[Window, ...] = ()
-    waves: tuple[tuple[float, float], ...] = ()
+    refine: str = "ladder"  # or "variable-projection"
+    lobe: float = 0.0  # wavenumber [1/m] of the scan's, nearest to a candidate scale; 0: none
+    windows: tuple[Window, ...] = ()  # of several length scales, strongest first
+    waves: tuple[tuple[float, float], ...] = ()  # k [rad/m] of a wave library, strongest first
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A flow that the rows bear out: psi = sum a cos(phi) + b sin(phi), phi = k.(x - c t).
+    """A flow that the rows bear out: psi = sum a cos(phi) + b sin(phi), phi = k.(x - c t)."""
 
-    Args:
-        shape: ``axis``, ``square``, ``rectangle``, ``pair`` or ``several``.
-        wavevectors: k (j, 2) [rad/m].
-        cosine: a (j,) [m^2/s], in the flight's own coordinates and time.
-        sine: b (j,) [m^2/s].
-        velocity: c [m/s]; None: it stands.
-        residual: RSS of the rows over |Phi|^2.
-        bic: n ln RSS + p ln n.
-        vehicles: of each flight with its unknowns as the rows have them; as believed where the
-            rows say what cannot be.
-        background: the steady uniform velocity beside the flow [m/s], of the first flight.
-    """
-
-    shape: str
-    wavevectors: Array
-    cosine: Array
-    sine: Array
-    velocity: tuple[float, float] | None
-    residual: float
-    bic: float
-    vehicles: tuple[PointMassVehicle, ...]
-    background: tuple[float, float] = (0.0, 0.0)
+    shape: str  # axis, square, rectangle, pair or several
+    wavevectors: Array  # k (j, 2) [rad/m]
+    cosine: Array  # a (j,) [m^2/s], in the flight's own coordinates and time
+    sine: Array  # b (j,) [m^2/s]
+    velocity: Pair | None  # c [m/s]; None: it stands
+    residual: float  # RSS of the rows over |Phi|^2
+    bic: float  # n ln RSS + p ln n
+    vehicles: tuple[PointMassVehicle, ...]  # of each flight, with its unknowns as the rows say
+    background: Pair = (0.0, 0.0)  # the steady uniform velocity beside the flow [m/s]
 
     @property
     def flow(self) -> WaveFlow:

@@ -21,8 +21,8 @@ import numpy as np
 
 from sparsefit.arrays import Array, ComplexArray, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.model.fitting import FlowRows
 from sparsefit.model.grid import Bounds, extent_of, middle
+from sparsefit.model.shapes import FlowRows
 
 FEWEST_PIECES = 4  # of a scan in pieces
 
@@ -132,19 +132,12 @@ def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Arra
 
 @dataclass(frozen=True, eq=False)
 class WaveScan:
-    """The share of rows that one wave explains, over the wavevectors that the track resolves.
-
-    Args:
-        rows: of the flights.
-        radii: the least and the largest |k| [rad/m].
-        fastest: the largest velocity of waves [m/s]; 0: they stand.
-        pieces: of the track, each with amplitudes of its own.
-    """
+    """The share of rows that one wave explains, over the wavevectors that the track resolves."""
 
     rows: FlowRows
-    radii: Bounds
-    fastest: float = 0.0
-    pieces: int = 1
+    radii: Bounds  # the least and the largest |k| [rad/m]
+    fastest: float = 0.0  # velocity of waves [m/s]; 0: they stand
+    pieces: int = 1  # of the track, each with amplitudes of its own
 
     @classmethod
     def of(cls, rows: FlowRows, radii: Bounds, fastest: float = 0.0) -> WaveScan | None:

@@ -17,37 +17,26 @@ from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.fitting import FlowRows, ShapeFit, fitted
 from sparsefit.model.grid import Bounds, extent_of, middle
 from sparsefit.model.library import Library
 from sparsefit.model.scan import WaveScan, axis_gains, line_steps, peaks
-from sparsefit.model.shapes import AXIS
+from sparsefit.model.shapes import AXIS, FlowRows, ShapeFit, fitted
 from sparsefit.model.unknowns import UnknownColumns, side_by_side
 from sparsefit.rows import Samples
 
-CORRELATION = 5.0  # samples: errors of smoothed derivatives and of positions are not white
 EXACT = 1e-6  # a share of |Phi|^2 that smoothing takes: less tells no shape
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The search for a library's flow in one flight, or in several through one flow.
+    """The search for a library's flow in one flight, or in several through one flow."""
 
-    Args:
-        rows: thinned samples, counted from the origin.
-        bounds: of the wavenumber k = pi/L [1/m].
-        worth: how many rows, of both components, count where errors correlate.
-        origin: (x, y, t) from which the rows count.
-        unknowns: the columns of each flight's unknowns.
-        counts: the rows of each flight.
-    """
-
-    rows: FlowRows
-    bounds: Bounds
-    worth: float
-    origin: Array
-    unknowns: tuple[UnknownColumns, ...]
-    counts: tuple[int, ...]
+    rows: FlowRows  # thinned samples, counted from the origin
+    bounds: Bounds  # of the wavenumber k = pi/L [1/m]
+    worth: float  # how many rows, of both components, count where errors correlate
+    origin: Array  # (x, y, t) from which the rows count
+    unknowns: tuple[UnknownColumns, ...]  # of each flight
+    counts: tuple[int, ...]  # the rows of each flight
 
     @classmethod
     def of(
@@ -74,9 +63,8 @@ class Search:
         origin = np.array([*middle(position), 0.5 * (time.min() + time.max())])
         thin, worth = [], 0.0
         for samples in flights:
-            correlation = CORRELATION
-            if samples.smoothing is not None:
-                correlation = max(CORRELATION, samples.smoothing.correlation)
+            # Errors of smoothed derivatives, and of positions, are not white.
+            correlation = max(5.0, samples.smoothing.correlation)
             worth += 2 * len(samples.time) / correlation
             way = np.hypot(*np.diff(samples.position, axis=0).T)
             far = max(1, int(0.25 * least / max(float(np.median(way)), 1e-300)))
@@ -87,9 +75,8 @@ class Search:
         counts = tuple(len(samples.time) for samples in thin)
         own = np.repeat(np.array(weights or [1.0] * len(flights), dtype=float), counts)
         place = [np.column_stack([samples.position, samples.time]) for samples in thin]
-        phi = [
-            samples.flow_velocity(vehicle) for samples, vehicle in zip(thin, vehicles, strict=True)
-        ]
+        pairs = zip(thin, vehicles, strict=True)
+        phi = [samples.flow_velocity(vehicle) for samples, vehicle in pairs]
         unknowns = tuple(UnknownColumns(library.unknown, vehicle) for vehicle in vehicles)
         rows = FlowRows(
             np.concatenate(place) - origin,
@@ -115,15 +102,13 @@ class Search:
             return np.array([self.bounds[0]])
         k, gains = axis_gains(self.rows, rest, self.bounds)
         places = peaks(gains)[:, 0]
-        before, here, after = (
-            gains[np.clip(places + shift, 0, len(k) - 1)] for shift in (-1, 0, 1)
-        )
+        before, here, after = gains[np.clip(places + np.array([[-1], [0], [1]]), 0, len(k) - 1)]
         bow = 2 * here - before - after  # of the parabola through three points, highest at:
         offset = np.where(bow > 0, 0.5 * (after - before) / np.where(bow > 0, bow, 1.0), 0.0)
         lobes: Array = np.clip(k[places] + (k[1] - k[0]) * np.clip(offset, -0.5, 0.5), *self.bounds)
         return lobes
 
-    @cached_property
+    @property
     def radii(self) -> Bounds:
         """The bounds of |k| of the waves of square cells [rad/m]."""
         return math.sqrt(2) * self.bounds[0], math.sqrt(2) * self.bounds[1]

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -127,16 +126,16 @@ class UnknownColumns:
         basis: Array = vectors[:, roots > 1e-10 * roots.max(initial=0.0)]
         return basis
 
-    def read(self, coefficients: Array) -> tuple[PointMassVehicle, Pair, float] | None:
-        """The vehicle, the wind and tau_0/tau by coefficients (p,); None where it cannot be.
+    def read(self, coefficients: Array) -> tuple[PointMassVehicle, Pair, float]:
+        """The vehicle, the wind and tau_0/tau by coefficients (p,).
 
         The ratio, by which Phi of the believed vehicle is larger, is sqrt(c/c_0) where drag is
-        quadratic.
+        quadratic; NaN, beside the believed vehicle, where coefficients say what cannot be.
         """
         vehicle = self.believed
         ratio = 1.0 - float(coefficients[0]) if self.scaled else 1.0
         if not ratio > 0 or not np.isfinite(coefficients).all():
-            return None
+            return vehicle, (0.0, 0.0), math.nan
         changes: dict[str, Any] = {}
         x, y = coefficients[-2:].tolist() if len(coefficients) > 1 else (0.0, 0.0)
         if "thrust_scale" in self.unknown:
@@ -154,33 +153,25 @@ class UnknownColumns:
 
 
 def side_by_side(parts: Sequence[UnknownColumns], sources: Sequence[Samples]) -> Array:
-    """N (m, 2, p) of the rows of all flights, those of each beside those of the others."""
+    """N (m, 2, f p) of the rows of f flights, those of each beside those of the others."""
     own = [part.columns(source) for part, source in zip(parts, sources, strict=True)]
-    ends = np.cumsum([0, *(columns.shape[2] for columns in own)]).tolist()
-    return np.concatenate(
-        [
-            np.pad(columns, ((0, 0), (0, 0), (first, ends[-1] - last)))
-            for columns, (first, last) in zip(own, pairwise(ends), strict=True)
-        ]
-    )
+    flight = np.repeat(np.eye(len(own)), [len(columns) for columns in own], axis=0)
+    columns = flight[:, None, :, None] * np.concatenate(own)[:, :, None]
+    return columns.reshape(len(flight), 2, -1)
 
 
 def read_vehicles(
     parts: Sequence[UnknownColumns], coefficients: Array
 ) -> tuple[tuple[PointMassVehicle, ...], Pair, float]:
-    """The vehicle of each flight from coefficients (p,), the first wind, and the mean tau_0/tau.
+    """The vehicle of each flight from coefficients (f p,), the first wind, and the mean tau_0/tau.
 
     A vehicle that cannot be is as it was believed.
     """
     shares = np.array_split(coefficients, len(parts))
     reads = [part.read(share) for part, share in zip(parts, shares, strict=True)]
-    vehicles = [
-        part.believed if own is None else own[0] for part, own in zip(parts, reads, strict=True)
-    ]
-    possible = [own for own in reads if own is not None]
-    if not possible:
-        return tuple(vehicles), (0.0, 0.0), 1.0
-    return tuple(vehicles), possible[0][1], float(np.mean([own[2] for own in possible]))
+    possible = [own for own in reads if own[2] > 0] or [(reads[0][0], (0.0, 0.0), 1.0)]
+    ratio = float(np.mean([own[2] for own in possible]))
+    return tuple(own[0] for own in reads), possible[0][1], ratio
 
 
 def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:

@@ -50,7 +50,7 @@ class Samples:
         position_rate: the derivative of the position [m/s], (m, 2); the measured velocity is
             another one.
         acceleration: the derivative of the velocity [m/s^2], (m, 2).
-        smoothing: the filter that made them; None where it was no `Derivative`.
+        smoothing: the filter that made them; `none` where it was no `Derivative`.
         averages: the weak form, which the regression and the readout take in place of the
             samples; these, by ``auto``, then only serve the search.
         repairs: the samples that were replaced or dropped before.
@@ -63,7 +63,7 @@ class Samples:
     velocity: Array
     position_rate: Array
     acceleration: Array
-    smoothing: Smoothing | None = None
+    smoothing: Smoothing = Smoothing("none")
     averages: Samples | None = None
     repairs: Repairs = Repairs()
     push: Array | None = None

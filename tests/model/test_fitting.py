@@ -6,9 +6,20 @@ import numpy as np
 import pytest
 
 from sparsefit.flight.waves import WaveFlow
-from sparsefit.model.fitting import END, FlowRows, descended, fitted, joined, orthonormal
 from sparsefit.model.scan import WaveScan, axis_gains, fourier_sums, peaks
-from sparsefit.model.shapes import AXIS, PAIR, SQUARE, free_waves, read_cells
+from sparsefit.model.shapes import (
+    AXIS,
+    END,
+    PAIR,
+    SQUARE,
+    FlowRows,
+    descended,
+    fitted,
+    free_waves,
+    joined,
+    orthonormal,
+    read_cells,
+)
 
 RNG = np.random.default_rng(5)
 TIME = np.linspace(-6, 6, 300)
