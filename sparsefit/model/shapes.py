@@ -211,7 +211,7 @@ class FlowRows:
     weight: Array  # (m,)
 
     def cut(self, pieces: int) -> tuple[Array, Array, Array]:
-        """The target (s, 2 n), x, y and -t (3, s, n), and weights (s, 1, 1, n) of s pieces.
+        """The target (s, 2 n), x, y and -t (3, s, n), and -+ weights (s, 1, 2, n) of s pieces.
 
         A piece has n rows, x before y; those that fill the last one have weight 0. Of pieces the
         target is `rest`.
@@ -224,7 +224,7 @@ class FlowRows:
             self._cuts[pieces] = (
                 target.reshape(pieces, count, 2).swapaxes(1, 2).reshape(pieces, -1),
                 place * np.array([1.0, 1.0, -1.0])[:, None, None],
-                np.pad(self.weight, filled).reshape(pieces, 1, 1, count),
+                np.pad(self.weight, filled).reshape(pieces, 1, 1, count) * [[-1.0], [1.0]],
             )
         return self._cuts[pieces]
 
@@ -303,11 +303,10 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
     b g_1 - a g_2 by theta.
     """
     phases, by_q = shape.phases(q)
-    target, axes, weight = rows.cut(pieces)
+    target, axes, signed = rows.cut(pieces)
     count, size = 2 * len(phases), axes.shape[2]
     g = np.stack(sines_and_cosines(np.tensordot(phases, axes, axes=1)), axis=1)
-    np.negative(g[:, 0], out=g[:, 0])
-    g = np.moveaxis(g, 2, 0) * weight  # (s, J, 2, n)
+    g = np.moveaxis(g, 2, 0) * signed  # (s, J, 2, n)
     across, turned = (part[..., [1, 0]] * (1.0, -1.0) for part in (phases, by_q))
     columns = (g[..., None, :] * across[:, None, :, None]).reshape(pieces, count, 2 * size)
     if pieces == 1 and rows.unknowns.size:
