@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -101,8 +100,10 @@ class Flight(Brief):
         if not isinstance(self.vehicle, PointMassVehicle):
             raise InputError(f"vehicle must be a PointMassVehicle; got {self.vehicle!r}")
         tau, *others = self.vehicle.parameters
-        slow = LARGEST < tau < math.inf
-        if slow or tau < 1.0 / LARGEST or max(map(abs, others)) > LARGEST:
+        if (
+            max(1.0 / tau, others[0]) * LARGEST < 1.0
+            or max(map(abs, (1.0 / tau, *others))) > LARGEST
+        ):
             raise InputError(f"{self.vehicle!r} is no vehicle that flies; change the units")
         one_of("frame", self.frame, FRAMES)
         object.__setattr__(self, "flow", as_flow(self.flow))

@@ -84,6 +84,8 @@ class LengthScaleGrid:
         problem = ""
         if self.upper < self.lower:
             problem = f"upper ({self.upper:g} m) is below lower ({self.lower:g} m); swap them"
+        elif not 1e-9 <= self.lower <= self.upper <= 1e9:
+            problem = f"no scale of a flow: {self.lower:g} ... {self.upper:g} m; change the unit"
         elif self.step is not None and self.count is not None:
             problem = "give step or count, not both"
         elif self.spacing == "wavenumber" and self.count is None:

@@ -105,6 +105,7 @@ def test_bad_fields_are_named(changes, message):
         ({"velocity": PLANE * -1e300}, "velocity is .* no flight"),
         ({"vehicle": PointMassVehicle(1e-30)}, "is no vehicle that flies; change the units"),
         ({"vehicle": PointMassVehicle(1e308)}, "is no vehicle that flies"),
+        ({"vehicle": PointMassVehicle(math.inf, drag=1e-30)}, "is no vehicle that flies"),
         ({"vehicle": PointMassVehicle(0.5, (0.0, -1e30))}, "is no vehicle that flies"),
         ({"time": TIME * 1e-320}, r"samples .* s apart are no flight; give time in seconds"),
     ],
