@@ -49,13 +49,8 @@ def headline(selection: Selection) -> str:
     return f"Use {f'{reading} with {backend}' if reading else chosen.title}."
 
 
-def lines(selection: Selection, check: Check | None = None) -> list[str]:
-    """Return what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
-    return [f"{name}: {text}." for name, text in _said(selection, check)]
-
-
-def _said(selection: Selection, check: Check | None) -> Iterator[tuple[str, str]]:
-    """Give the name and the text of each line."""
+def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
+    """Give what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
     criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
     kind, regimes, count = selection.kind, criterion.regimes, list(selection.units.values())
 
@@ -64,52 +59,47 @@ def _said(selection: Selection, check: Check | None) -> Iterator[tuple[str, str]
 
     if chosen is not None:
         fresh = " that had no part in the choice" if len(count) > 1 else ""
-        yield "Score", f"{scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}"
-    yield "Rule", f"{criterion.words}; the simplest within {100 * rule.margin:g} % of the best"
+        yield f"Score: {scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}."
+    yield f"Rule: {criterion.words}; the simplest within {100 * rule.margin:g} % of the best."
     limits = [
         f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
         for name in LIMITS if (limit := getattr(rule, name)) is not None
     ]  # fmt: skip
     keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
     where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
-    yield "Candidates", f"{len(selection.ranked)}{where}, chosen on {count[0]} {kind}{keeping}"
+    yield f"Candidates: {len(selection.ranked)}{where}, chosen on {count[0]} {kind}{keeping}."
     if selection.refused:
-        yield "Not on board", f"{len(selection.refused)} more, see the table"
+        yield f"Not on board: {len(selection.refused)} more, see the table."
     if chosen is None:  # for each constraint, how many it refuses and who comes closest
         every = [(breach, each.title) for each in selection.ranked for breach in each.breaches]
         for name, refused in Counter(breach.constraint for breach, _ in every).most_common():
             breach, nearest = min((pair for pair in every if pair[0].constraint == name),
                                   key=lambda pair: pair[0].value)  # fmt: skip
-            yield name, f"refuses {refused}; the closest is {nearest}, {breach.words}"
+            yield f"{name}: refuses {refused}; the closest is {nearest}, {breach.words}."
         return
     if selection.tied:
-        yield "Tied", listed([each.title for each in selection.tied], "and")
+        yield f"Tied: {listed([each.title for each in selection.tied], 'and')}."
     regret, best = selection.regret, selection.hindsight
     if regret is not None:
-        value = scored(regret.effect, (regret.low, regret.high))
-        yield "Regret", "none" if best is chosen else f"{value} against {best.title}"
+        against = f"{scored(regret.effect, (regret.low, regret.high))} against {best.title}"
+        yield f"Regret: {'none' if best is chosen else against}."
     if len(regimes) > 1 and np.isfinite(chosen.by_regime).any():
         worst = int(np.nanargmax(criterion.sign * chosen.by_regime))
         value = criterion.say(float(chosen.by_regime[worst]))
-        yield "Worst regime", f"{value} in {regimes[worst]}"
+        yield f"Worst regime: {value} in {regimes[worst]}."
     if chosen.broken:
-        broken = "; ".join(each.words for each in chosen.broken)
-        yield f"Broken on the evaluate {kind}", broken
+        yield f"Broken on the evaluate {kind}: {'; '.join(each.words for each in chosen.broken)}."
     if seen := selection.latencies.get(chosen.candidate):
         loud = f"; {100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
         loud = f"{loud}quiet machine" if seen["busy"] > 0.1 else ""
-        yield (
-            "Latency",
-            (
-                f"median {significant(1e3 * seen['median'])} ms, 99th percentile "
-                f"{significant(1e3 * seen['p99'])} ms, BLAS on one thread{loud}"
-            ),
-        )
+        median, slowest = significant(1e3 * seen["median"]), significant(1e3 * seen["p99"])
+        yield (f"Latency: median {median} ms, 99th percentile {slowest} ms, BLAS on one thread"
+               f"{loud}.")  # fmt: skip
     if check is not None:
         against = f"{criterion.say(check.regret.effect)} against {check.hindsight}"
-        value = f"{scored(check.score, check.between)} on {check.units} {kind}, regret "
-        value += "none" if check.regret.identical else against
-        yield "Fresh seeds", value + "".join(f"; broken: {each.words}" for each in check.broken)
+        broken = "".join(f"; broken: {each.words}" for each in check.broken)
+        yield (f"Fresh seeds: {scored(check.score, check.between)} on {check.units} {kind}, regret "
+               f"{'none' if check.regret.identical else against}{broken}.")  # fmt: skip
 
 
 def verdict(selection: Selection, each: Any) -> str:
@@ -261,7 +251,7 @@ def write_selection(
     study: Any, selection: Selection, folder: Path | None = None, check: Check | None = None
 ) -> list[Path]:
     """Write the tables and pictures of a selection, evidence.html and evidence.md, the last."""
-    said, made, picture = lines(selection, check), tables(selection), pareto(selection)
+    said, made, picture = list(lines(selection, check)), tables(selection), pareto(selection)
     answer, title = headline(selection), f"{study.name}: the selection"
     files = {**table_files(study.name, made), **picture_files({"pareto": picture})}
     sections: dict[str, Sequence[Any]] = {

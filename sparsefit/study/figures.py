@@ -255,21 +255,18 @@ def _points(cases: pd.DataFrame, name: str, beside: str) -> Panel:
                  "xy" if is_log else "")  # fmt: skip
 
 
-def _profiles(entry: Entry, cases: pd.DataFrame) -> Figure | None:
-    """Draw the performance profiles of solvers (Dolan and More, 2002)."""
-    return ecdf(entry, solver_times.race(cases), solver_times.places(cases))
-
-
-def _shapes(entry: Entry, cases: pd.DataFrame) -> Figure | None:
-    """Draw the time to the strictest accuracy, problem by problem."""
-    strict = solver_times.race(cases, solver_times.accuracies(cases)[-1])
-    return lines(entry, strict, solver_times.places(cases))
-
-
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Figure | None]] = {
     **dict.fromkeys(("settings", "lines", "protocols"), lines),
     **{"ecdf": ecdf, "scatter": scatter},
-    **{"profiles": _profiles, "shapes": _shapes},
+    # performance profiles of solvers (Dolan and More, 2002), and the times problem by problem
+    "profiles": lambda entry, cases: ecdf(
+        entry, solver_times.race(cases), solver_times.places(cases)
+    ),
+    "shapes": lambda entry, cases: lines(
+        entry,
+        solver_times.race(cases, solver_times.accuracies(cases)[-1]),
+        solver_times.places(cases),
+    ),
 }
 
 

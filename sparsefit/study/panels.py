@@ -78,6 +78,70 @@ class Panel:
         every = np.concatenate(parts)
         return np.asarray(every[np.isfinite(every)])
 
+    def draw(self, axes: Axes, words: Mapping[str, str | None]) -> None:
+        """Draw the curves: those that a legend names by colour, style and marker."""
+        names, count = list(words), len(self.curves)
+        others = [curve for curve in self.curves if words[curve.name] is None]
+        for order, curve in enumerate(self.curves[: count - len(others)]):
+            place, x, bars = names.index(curve.name), curve.x, self.bars_of(curve)
+            turn, colour = divmod(place, len(COLOURS))
+            look: dict[str, Any] = {
+                "color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
+                "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)], **self.style,
+                "gid": f"line-{place}", "zorder": 3,
+            }  # fmt: skip
+            if look["ls"] == "":
+                look["marker"] = look["marker"] or "."
+                x = x + 0.5 * ((order + 0.5) / count - 0.5) if self.names else x  # side by side
+            if bars is not None:
+                axes.vlines(x, *bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
+            axes.plot(x, curve.y, **look, label=words[curve.name])
+        if others:  # one line of all, in pieces
+            gap, look = np.array([np.nan]), {"ls": "-", **self.style}
+            x, y = (np.concatenate([part for curve in others for part in (curve[at], gap)])
+                    for at in (1, 2))  # fmt: skip
+            look |= {"color": GREY, "lw": 0.6, "alpha": 0.6, "ms": 3.0, "mew": 0, "zorder": 2}
+            look["marker"] = "." if look["ls"] == "" else ""
+            hidden = list(words.values()).count(None)
+            axes.plot(x, y, **look, gid="line-others", label=f"{hidden} others")
+        if not self.heights.size:
+            axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
+        for axis, value in self.marks:
+            line = axes.axvline if axis == "x" else axes.axhline
+            line(value, color=GREY, lw=0.8, ls="--", zorder=1)
+
+    def scale(self, axes: Axes, heights: Array, columns: int) -> None:
+        """Set ends, scales and numbers of the axes; `heights` are those of the whole row."""
+        if self.names:
+            short = list(style.labels(self.names, 34).values())
+            is_long = sum(map(len, short)) + 2 * len(short) > PAGE // columns
+            slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+            if is_long:  # slanted, each on one line: a second would touch its neighbour
+                short = list(style.labels(self.names, 48).values())
+            axes.set_xticks(range(len(short)), short, **(slant if is_long else {}))
+            if self.style.get("ls") == "":
+                axes.set_xlim(-0.5, len(short) - 0.5)
+            axes.grid(False, axis="x")
+        elif len(self.levels):
+            style.level_axis(axes, np.asarray(self.levels, dtype=float))
+        ends, log = self.y_range, self.log
+        if ends is None and heights.size:
+            low, high = float(heights.min()), float(heights.max())
+            room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
+            ends = low - room, high + room
+            if self.is_share:
+                ends = max(low - room, -3.0), min(high + room, 103.0)
+            elif low >= 0 and high > LOG_RANGE * low:
+                low, log = max(low, TINY), f"{log}y"
+                room = max(1.4, (high / low) ** 0.06)
+                ends = low / room, high * room
+        for axis, limits in (("x", self.x_range), ("y", ends)):
+            if axis in log:
+                axes.set(**{f"{axis}scale": "log"})
+                style.logarithmic(getattr(axes, f"{axis}axis"), *(limits or axes.axis()[:2]))
+            if limits:
+                axes.set(**{f"{axis}lim": limits})
+
 
 def _named(panels: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
     """Return what a legend calls each curve, the least rank first; None of those in grey.
@@ -120,8 +184,8 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
         heights = np.concatenate([panel.heights for panel in row])
         below = grid[place + 1] if place + 1 < len(grid) else None
         for at, (panel, axes) in enumerate(zip(row, axes_row, strict=True)):
-            _draw(axes, panel, words)
-            _scale(axes, panel, heights, len(row))
+            panel.draw(axes, words)
+            panel.scale(axes, heights, len(row))
             is_last = below is None or below[at].x_label != panel.x_label
             is_first = not at or row[at - 1].y_label != panel.y_label
             axes.set_xlabel(style.wrapped(panel.x_label, PAGE // len(row)) if is_last else "")
@@ -132,69 +196,3 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
             axes.set_title("" if is_under else panel.title)
     style.legend(figure, [axes for row in axes_grid for axes in row])
     return figure
-
-
-def _draw(axes: Axes, panel: Panel, words: Mapping[str, str | None]) -> None:
-    """Draw the curves of a panel: those that a legend names by colour, style and marker."""
-    names, count = list(words), len(panel.curves)
-    others = [curve for curve in panel.curves if words[curve.name] is None]
-    for order, curve in enumerate(panel.curves[: count - len(others)]):
-        place, x, bars = names.index(curve.name), curve.x, panel.bars_of(curve)
-        turn, colour = divmod(place, len(COLOURS))
-        look: dict[str, Any] = {
-            "color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
-            "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)], **panel.style,
-            "gid": f"line-{place}", "zorder": 3,
-        }  # fmt: skip
-        if look["ls"] == "":
-            look["marker"] = look["marker"] or "."
-            x = x + 0.5 * ((order + 0.5) / count - 0.5) if panel.names else x  # side by side
-        if bars is not None:
-            axes.vlines(x, *bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
-        axes.plot(x, curve.y, **look, label=words[curve.name])
-    if others:  # one line of all, in pieces
-        gap, look = np.array([np.nan]), {"ls": "-", **panel.style}
-        x, y = (np.concatenate([part for curve in others for part in (curve[at], gap)])
-                for at in (1, 2))  # fmt: skip
-        look |= {"color": GREY, "lw": 0.6, "alpha": 0.6, "ms": 3.0, "mew": 0, "zorder": 2}
-        look["marker"] = "." if look["ls"] == "" else ""
-        hidden = list(words.values()).count(None)
-        axes.plot(x, y, **look, gid="line-others", label=f"{hidden} others")
-    if not panel.heights.size:
-        axes.text(0.5, 0.5, "no answer", transform=axes.transAxes, ha="center", color=GREY)
-    for axis, value in panel.marks:
-        line = axes.axvline if axis == "x" else axes.axhline
-        line(value, color=GREY, lw=0.8, ls="--", zorder=1)
-
-
-def _scale(axes: Axes, panel: Panel, heights: Array, columns: int) -> None:
-    """Set ends, scales and numbers of the axes; `heights` are those of the whole row."""
-    if panel.names:
-        short = list(style.labels(panel.names, 34).values())
-        is_long = sum(map(len, short)) + 2 * len(short) > PAGE // columns
-        slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
-        if is_long:  # slanted, each on one line: a second would touch its neighbour
-            short = list(style.labels(panel.names, 48).values())
-        axes.set_xticks(range(len(short)), short, **(slant if is_long else {}))
-        if panel.style.get("ls") == "":
-            axes.set_xlim(-0.5, len(short) - 0.5)
-        axes.grid(False, axis="x")
-    elif len(panel.levels):
-        style.level_axis(axes, np.asarray(panel.levels, dtype=float))
-    ends, log = panel.y_range, panel.log
-    if ends is None and heights.size:
-        low, high = float(heights.min()), float(heights.max())
-        room = 0.08 * (high - low) or 0.1 * abs(low) or 1.0
-        ends = low - room, high + room
-        if panel.is_share:
-            ends = max(low - room, -3.0), min(high + room, 103.0)
-        elif low >= 0 and high > LOG_RANGE * low:
-            low, log = max(low, TINY), f"{log}y"
-            room = max(1.4, (high / low) ** 0.06)
-            ends = low / room, high * room
-    for axis, limits in (("x", panel.x_range), ("y", ends)):
-        if axis in log:
-            axes.set(**{f"{axis}scale": "log"})
-            style.logarithmic(getattr(axes, f"{axis}axis"), *(limits or axes.axis()[:2]))
-        if limits:
-            axes.set(**{f"{axis}lim": limits})

@@ -84,7 +84,7 @@ def test_equals_tie_and_the_first_sentence_can_be_read_aloud():
     assert [each.best for each in selection.ranked] == [0.5, 0.5, 0.0]
     assert selection.tied[0].apart.identical
     assert headline(selection) == "Use ladder; lasso or stlsq will do, lasso is the simplest."
-    assert lines(selection)[0].startswith("Score: 2.00 % (2.00 to 2.00) on 6 flights")
+    assert next(lines(selection)).startswith("Score: 2.00 % (2.00 to 2.00) on 6 flights")
     swept = made.assign(**{"readout.refine": np.where(made["label"] == "bad", "ladder", "none")})
     said = "Use ladder, refine none; any of 2 back-ends will do, lasso is the simplest."
     assert headline(chosen(swept)) == said
