@@ -29,15 +29,19 @@ from pathlib import Path
 
 from sparsefit.cli import main
 
-FENCE = re.compile(r"```(?P<open>[^`]*)$")
-COMMENT = re.compile(r"<!-- (?P<word>slow|needs|not run)(?:: (?P<what>.*))? -->")
+BLOCK = re.compile(
+    r"(?:^<!-- (?P<word>slow|needs|not run)(?:: (?P<what>.*))? -->\n+)?"
+    r"^```(?!`)(?:\{code-block\} )?(?P<language>\S*).*\n"
+    r"(?P<options>(?::\w+: .*\n)*)\n?(?P<text>(?:.*\n)*?)^```$",
+    re.MULTILINE,
+)
 LANGUAGES = ("python", "bash", "console")
 LOOSE = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 INSTALLS = ("pip install", "python -m pip install")
 SHELL = frozenset("|&;<>`$(")
 
 
-@dataclass(frozen=True)
+@dataclass
 class Block:
     """One block: its language, its text, where it stands and how it is run.
 
@@ -50,13 +54,7 @@ class Block:
     caption: str = ""
     slow: bool = False
     needs: str = ""
-    left_out: str = ""
     output: str = ""
-
-    @property
-    def runs(self) -> bool:
-        """Whether there is anything to run, or a file to write."""
-        return not self.left_out and (self.language in LANGUAGES or bool(self.caption))
 
     @property
     def missing(self) -> bool:
@@ -65,45 +63,19 @@ class Block:
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """The blocks of a page, in order."""
-    found: list[Block] = []
-    for block in _fenced(page.read_text("utf-8").splitlines()):
-        if block.language == "output" and found and found[-1].language == "python":
-            found[-1] = Block(**{**vars(found[-1]), "output": block.text})
-        else:
-            found.append(block)
-    return [block for block in found if block.runs]
-
-
-def _fenced(lines: list[str]) -> Iterator[Block]:
-    opened, start, notes = "", 0, {}
-    for number, line in enumerate(lines, 1):
-        fence = FENCE.match(line)
-        if fence and not opened:
-            before = next((one for one in reversed(lines[: number - 1]) if one.strip()), "")
-            comment = COMMENT.search(before)
-            notes = _notes(comment["word"], comment["what"] or "") if comment else {}
-            opened, start = fence["open"].strip() or "text", number
-        elif fence and opened:
-            words = opened.split()
-            language = words[-1] if words[0] == "{code-block}" else words[0]
-            options, text = _options(lines[start : number - 1])
-            caption = options.get("caption", "")
-            yield Block(language, "\n".join(text) + "\n", start, caption, **notes)
-            opened = ""
-
-
-def _notes(word: str, what: str) -> dict[str, object]:
-    return {"slow": {"slow": True}, "needs": {"needs": what}, "not run": {"left_out": what}}[word]
-
-
-def _options(lines: list[str]) -> tuple[dict[str, str], list[str]]:
-    """The `:name: value` lines at the head of a block, and the others."""
-    options: dict[str, str] = {}
-    while lines and (option := re.fullmatch(r":(\w+): (.*)", lines[0])):
-        options[option[1]] = option[2]
-        lines = lines[1:]
-    return options, lines
+    """The blocks of a page that run or are files, in order."""
+    every, content = [], page.read_text("utf-8")
+    for part in BLOCK.finditer(content):
+        word, language, text = part["word"], part["language"], part["text"]
+        caption = re.search(r"^:caption: (.*)", part["options"], re.MULTILINE)
+        if language == "output" and every:
+            every[-1].output = text
+        elif word != "not run" and (language in LANGUAGES or (caption and "{" not in language)):
+            line = content.count("\n", 0, part.start("text"))
+            needs = part["what"] if word == "needs" else ""
+            name = caption[1] if caption else ""
+            every.append(Block(language, text, line, name, word == "slow", needs))
+    return every
 
 
 def run(block: Block, page: str, names: dict[str, object]) -> None:
