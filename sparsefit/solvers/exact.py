@@ -235,7 +235,8 @@ def _with_working_set(
     # The whole blocks of the largest dual norms; of one block of all columns the largest |Z'Y|.
     pull = pull[penalty.blocks] if len(pull) > 1 else np.abs(cross).max(axis=1)
     index = _whole(penalty, np.argsort(-pull, kind="stable"), start)
-    room = np.empty((min(4 * len(index), HELD // m), m))
+    # Sparse columns stay so, where their products do.
+    room = None if design.kind == "sparse" else np.empty((min(4 * len(index), HELD // m), m))
     empty = InPlay(design, target, index[:0], cross[:0], room, np.zeros((0, 0)))
     play = empty.joined(index, cross[index], True)
     weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
@@ -266,7 +267,8 @@ def _with_working_set(
             order = np.argsort(before)[np.argsort(np.argsort(turned.index))]
             attempts = {at: turned.forth(v[order]) for at, v in attempts.items()}
         elif len(new):
-            in_rows = name in IN_ROWS and m * k <= HELD and len(play.index) + len(new) > m
+            in_rows = play.store is not None and name in IN_ROWS and m * k <= HELD
+            in_rows = in_rows and len(play.index) + len(new) > m
             play = play.joined(new, cross[new], not in_rows)
     return Points(weights, complete, steps, f"{name}, {len(play.index)} columns in play")
 

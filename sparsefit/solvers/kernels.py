@@ -283,10 +283,11 @@ def cluster_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch
     assert on.normal.gram is not None
     level, penalty = on.units.level, on.penalty
     gram, cross = np.ascontiguousarray(on.normal.gram), on.cross / level
-    values, step = attempts[max(attempts)] / level, 1.0 / _largest_eigenvalue(gram)
+    attempts, step = dict(attempts), 1.0 / _largest_eigenvalue(gram)
     solved, gaps = np.zeros((len(alphas), *cross.shape)), np.zeros(len(alphas))
     steps = np.zeros(len(alphas), np.intp)
     for i, alpha in enumerate((alphas / level).tolist()):
+        values = _nearest(attempts, alphas[i])[1] / level
         price = alpha * np.concatenate([[0.0], np.cumsum(penalty.weights)])
         for steps[i] in range(CLUSTERED):
             pull = cross - on.normal.times(values)
@@ -304,7 +305,7 @@ def cluster_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch
             problem = on.normal, cross, penalty, alpha
             values, gaps[i], taken = settled(*problem, values, on.stop)
             steps[i] += taken
-        solved[i] = values * level
+        attempts[alphas[i]] = solved[i] = values * level
     return Stretch(solved, gaps <= on.stop, steps)
 
 

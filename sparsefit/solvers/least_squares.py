@@ -145,8 +145,9 @@ class STLSQ(Checked):
             # The ridge bounds |inverse|_1 by sqrt(n) / ridge; only where that is too little,
             # estimate.
             safe = ridge[on].min() > 2.0 * floor * size * np.sqrt(len(on))
-            if safe and len(on) > problem.samples:  # D^-1 Z'(Z D^-1 Z'/m + I)^-1 Y/m of Z (m, k)
-                columns, right = problem.design.columns(on), problem.target[:, targets]
+            design, right = problem.design, problem.target[:, targets]
+            if safe and len(on) > len(right) and design.in_memory:
+                columns = design.columns(on)  # D^-1 Z'(Z D^-1 Z'/m + I)^-1 Y/m of Z (m, k)
                 square = (columns / ridge[on]) @ columns.T / problem.samples
                 square.flat[:: len(square) + 1] += 1.0
                 factor = dpotrf(square.T, lower=1, overwrite_a=1)[0]
@@ -200,10 +201,10 @@ class STLSQ(Checked):
 
 def _products(problem: RegressionProblem, on: IntArray) -> Array:
     """Z_J'Z_J/m of the columns of a support (j,), a copy."""
-    if problem.columns > FEW:
-        return problem.design.products(on)
     if len(on) == problem.columns:
         return problem.statistics.gram.copy()
+    if problem.columns > FEW:
+        return problem.design.products(on)
     # Whole rows first, which is five times faster than rows and columns at once.
     return problem.statistics.gram.take(on, 0).take(on, 1)
 

@@ -61,10 +61,11 @@ class Normal:
     target: Array | None = None
 
     def times(self, values: Array) -> Array:
-        """G V (j, q) of V (j, q); rows of zeros are not multiplied."""
+        """G V (j, q) of V (j, q); rows of zeros are not multiplied where they are many."""
         on = np.flatnonzero(values.any(axis=1))
         if self.gram is not None:
-            out: Array = self.gram[:, on] @ values[on]
+            few = 4 * len(on) < len(values)
+            out: Array = self.gram[:, on] @ values[on] if few else self.gram @ values
             return out
         assert self.rows is not None
         pulled: Array = ((self.rows[:, on] @ values[on]).T @ self.rows).T / self.samples
