@@ -299,7 +299,7 @@ def cluster_descent(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch
             sweep = compiled("sweeps").descend_clusters
             going = sweep(gram, price, pull[:, 0], values[:, 0], SWEEPS) or steps[i] >= ALIKE
             while going:
-                values, met = towards_clusters_optimum(on.normal, cross, penalty, alpha, values)
+                values, met = towards_clusters_optimum(gram, cross, penalty, alpha, values)
                 going = met and steps[i] >= ALIKE
         if gaps[i] > on.stop:
             problem = on.normal, cross, penalty, alpha

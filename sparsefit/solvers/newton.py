@@ -285,26 +285,28 @@ def _optimum_of_face(
 
 
 def towards_clusters_optimum(
-    normal: Normal, cross: Array, penalty: SortedNorm, alpha: float, values: Array
+    gram: Array, cross: Array, penalty: SortedNorm, alpha: float, values: Array
 ) -> tuple[Array, bool]:
     """From V (j, 1) towards the optimum for its signs and clusters, until two meet; whether so."""
-    on, factor = penalty.slope(values, values, alpha)
-    order = np.argsort(-np.abs(values[on, 0]), kind="stable")
-    sign, price = np.sign(values[on, 0]), np.empty(len(on))
-    price[order] = alpha * penalty.weights[: len(on)]
-    square = normal.within(on, factor, 1)
-    square.flat[:: len(square) + 1] += SHIFT
-    z = definite(square, factor.T @ (cross[on, 0] - price * sign))
-    if z is None:
+    size = np.abs(values[:, 0])
+    order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]
+    if not len(order):
         return values, False
-    order = order[::-1]  # from the smallest
-    here, there = (sign * part for part in (values[on, 0], factor @ z))
-    rise, after = (np.diff(part[order], prepend=0.0) for part in (here, there))
-    meeting = after < np.minimum(rise, 0.0)
+    sign, first = np.sign(values[order, 0]), np.flatnonzero(np.diff(size[order], prepend=-1.0))
+    square = gram.take(order, 0).take(order, 1) * np.multiply.outer(sign, sign)
+    square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
+    counts = np.diff(first, append=len(order))
+    square.flat[:: len(square) + 1] += SHIFT * counts
+    price = alpha * penalty.weights[: len(order)]
+    levels = definite(square, np.add.reduceat(sign * cross[order, 0] - price, first))
+    if levels is None:
+        return values, False
+    # Of each cluster above the next smaller one, from the smallest.
+    rise, after = (np.diff(part[::-1], prepend=0.0) for part in (size[order[first]], levels))
     until = np.full(len(rise), np.inf)
-    until[meeting] = rise[meeting] / (rise[meeting] - after[meeting])
-    share = min(float(until.min(initial=np.inf)), 1.0)
+    until[after < 0.0] = rise[after < 0.0] / (rise - after)[after < 0.0]
+    share = min(float(until.min()), 1.0)
     rise = np.where(until <= share, 0.0, np.maximum(rise + share * (after - rise), 0.0))
     out = np.zeros_like(values)
-    out[on[order], 0] = sign[order] * np.cumsum(rise)
+    out[order, 0] = sign * np.repeat(np.cumsum(rise)[::-1], counts)
     return out, share < 1.0
