@@ -14,7 +14,7 @@ Huber's loss is the squares with a column of the identity for each row, an outli
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, starmap
 
 import numpy as np
 
@@ -41,16 +41,17 @@ SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
 AHEAD = 8  # penalties that are solved before all columns are asked
 NEAR = 0.1  # below alpha, where groups join that do not object yet
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
-IN_ROWS = ("newton", "block descent")  # kernels that need no G where columns are more than rows
 HELD = 2**25  # entries of the columns in play that are held as rows beside their products
 
 
 @dataclass(frozen=True, eq=False)
 class InPlay:
-    """Columns in play: their indices (j,), B (j, q), Z_J (m, j) where it is held, Z_J'Z_J/m too.
+    """Columns in play: their indices (j,), B (j, q), Z_J'Z_J/m, and Z_J (m, j) where it is held.
 
     Where the columns are more than the rows, some kernels do without their products. store (s, m):
-    the columns Z_J, and room for more, which further ones are written into.
+    the columns, and room for those to come, which takes no memory before. Where blocks (k,) of all
+    columns are there, each block is turned into its principal columns, which keeps its norm: turns
+    have its places and the matrix.
     """
 
     design: Design
@@ -59,6 +60,8 @@ class InPlay:
     cross: Array
     store: Array | None
     gram: Array | None
+    blocks: IntArray | None = None
+    turns: tuple[tuple[slice, Array], ...] = ()
 
     @property
     def rows(self) -> Array | None:
@@ -66,16 +69,20 @@ class InPlay:
         return None if self.store is None else self.store[: len(self.index)].T
 
     def joined(self, new: IntArray, cross: Array, by_gram: bool) -> InPlay:
-        """With further columns behind those that there are, of which cross is Z'Y/m."""
-        index, pull = np.concatenate([self.index, new]), np.concatenate([self.cross, cross])
-        (m, _), old, gram, store = self.design.shape, len(self.index), None, self.store
-        if m * len(index) > HELD:
-            store = None
-        elif store is not None:
-            if len(index) > len(store):
-                store = np.empty((min(2 * len(index), HELD // m), m))
-                store[:old] = self.rows.T if self.rows is not None else 0.0
+        """With further columns, in whole blocks, behind those that there are; cross is Z'Y/m."""
+        if self.blocks is not None:
+            new = new[np.argsort(self.blocks[new], kind="stable")]
+        index, pull = np.concatenate([self.index, new]), np.concatenate([self.cross, cross[new]])
+        old, gram, turns = len(self.index), None, list(self.turns)
+        store = self.store if self.design.shape[0] * len(index) <= HELD else None
+        if store is not None:
             store[old : len(index)] = self.design.columns(new).T
+        if store is not None and self.blocks is not None:
+            ends = old + 1 + np.flatnonzero(np.diff(self.blocks[new], append=-1))
+            for part in starmap(slice, pairwise([old, *ends.tolist()])):
+                turn = np.linalg.eigh(store[part] @ store[part].T)[1].T
+                store[part], pull[part] = turn @ store[part], turn @ pull[part]
+                turns.append((part, turn))
         if by_gram and self.gram is not None:
             gram = np.empty((len(index), len(index)))
             gram[:old, :old] = self.gram
@@ -84,7 +91,8 @@ class InPlay:
             else:
                 gram[old:] = self.design.products(new, index)
             gram[:old, old:] = gram[old:, :old].T
-        return InPlay(self.design, self.target, index, pull, store, gram)
+        sums = replace(self, index=index, cross=pull, store=store, gram=gram)
+        return replace(sums, turns=tuple(turns))
 
     @property
     def normal(self) -> Normal:
@@ -103,56 +111,9 @@ class InPlay:
         return self.design.predict(full)
 
     def back(self, values: Array) -> Array:
-        """V (a, j, q) of the columns as they are."""
-        return values
-
-
-@dataclass(frozen=True, eq=False)
-class Turned(InPlay):
-    """Columns in play, those of a block turned into its principal ones, which keeps its norm.
-
-    blocks (k,): of all columns; turns: the first place of each block, and the matrix that turns it.
-    """
-
-    blocks: IntArray
-    turns: tuple[tuple[int, Array], ...] = ()
-
-    @classmethod
-    def of(cls, play: InPlay, blocks: IntArray, new: IntArray, cross: Array) -> Turned:
-        """Those in play and new ones, of which cross (k, q) is Z'Y/m."""
-        index = np.concatenate([play.index, new])
-        index = index[np.argsort(blocks[index], kind="stable")]
-        store, none = np.empty(play.design.shape[::-1]), np.zeros(0, dtype=np.intp)
-        empty = cls(play.design, play.target, none, cross[none], store, None, blocks)
-        return empty.joined(index, cross[index], False)
-
-    def joined(self, new: IntArray, cross: Array, by_gram: bool) -> Turned:
-        """With the columns of further blocks, turned where they are stored."""
-        assert self.store is not None
-        order = np.argsort(self.blocks[new], kind="stable")
-        new, old, turns = new[order], len(self.index), list(self.turns)
-        columns = self.design.columns(new).T
-        pull = np.concatenate([self.cross, cross[order]])
-        ends = np.flatnonzero(np.diff(self.blocks[new], append=-1)) + 1
-        for first, end in pairwise([0, *ends.tolist()]):
-            block, at = columns[first:end], slice(old + first, old + end)
-            turn = np.linalg.eigh(block @ block.T)[1].T
-            np.matmul(turn, block, out=self.store[at])
-            pull[at] = turn @ pull[at]
-            turns.append((at.start, turn))
-        index = np.concatenate([self.index, new])
-        return replace(self, index=index, cross=pull, turns=tuple(turns))
-
-    def forth(self, values: Array) -> Array:
-        """V (j, q) of the turned columns, from those as they are."""
-        at = ((slice(first, first + len(turn)), turn) for first, turn in self.turns)
-        return np.concatenate([turn @ values[part] for part, turn in at])
-
-    def back(self, values: Array) -> Array:
-        """V (a, j, q) of the columns as they are."""
-        out = np.empty_like(values)
-        for first, turn in self.turns:
-            part = slice(first, first + len(turn))
+        """V (a, j, q) of the columns as they are, before they were turned."""
+        out = values.copy()
+        for part, turn in self.turns:
             out[:, part] = turn.T @ values[:, part]
         return out
 
@@ -235,10 +196,14 @@ def _with_working_set(
     # The whole blocks of the largest dual norms; of one block of all columns the largest |Z'Y|.
     pull = pull[penalty.blocks] if len(pull) > 1 else np.abs(cross).max(axis=1)
     index = _whole(penalty, np.argsort(-pull, kind="stable"), start)
-    # Sparse columns stay so, where their products do.
-    room = None if design.kind == "sparse" else np.empty((min(4 * len(index), HELD // m), m))
-    empty = InPlay(design, target, index[:0], cross[:0], room, np.zeros((0, 0)))
-    play = empty.joined(index, cross[index], True)
+    # Sparse columns stay so.
+    store = None if design.kind == "sparse" else np.empty((min(k, HELD // m), m))
+    descends = name == "variational" and store is not None and len(store) == k
+    empty = InPlay(
+        *(design, target, index[:0], cross[:0], store, np.zeros((0, 0))),
+        penalty.blocks if descends else None,
+    )
+    play = empty.joined(index, cross, True)
     weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
     steps, done, ahead = np.zeros(count, np.intp), 0, AHEAD
     attempts = {BEGIN: np.zeros((len(index), q))}
@@ -248,7 +213,7 @@ def _with_working_set(
         on = OnColumns(play.normal, play.cross, part, units)
         stretch = KERNELS[name](on, here, attempts)
         in_use = int(stretch.values.any(axis=2).any(axis=0).sum())
-        if name == "variational" and 3 * in_use > m and m * k <= HELD:
+        if descends and 3 * in_use > m:
             name = "block descent"
         near = NEAR if name in ("variational", "block descent") else 0.0
         accepted, new = _objections(play, penalty, here, stretch.values, near)
@@ -261,15 +226,10 @@ def _with_working_set(
         attempts |= dict(zip(here.tolist(), stretch.values, strict=True))
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
-        if name == "block descent" and not isinstance(play, Turned):
-            before = np.concatenate([play.index, new])
-            turned = play = Turned.of(play, penalty.blocks, new, cross)
-            order = np.argsort(before)[np.argsort(np.argsort(turned.index))]
-            attempts = {at: turned.forth(v[order]) for at, v in attempts.items()}
-        elif len(new):
-            in_rows = play.store is not None and name in IN_ROWS and m * k <= HELD
-            in_rows = in_rows and len(play.index) + len(new) > m
-            play = play.joined(new, cross[new], not in_rows)
+        if len(new):
+            wide = store is not None and len(store) == k and len(play.index) + len(new) > m
+            in_rows = name == "block descent" or (name == "newton" and wide)
+            play = play.joined(new, cross, not in_rows)
     return Points(weights, complete, steps, f"{name}, {len(play.index)} columns in play")
 
 
