@@ -12,31 +12,17 @@ from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells, Flow, FlowField
 
-DETECTED = 0.05  # relative, of the wavenumber: nearer than this, a scale counts as detected
-
-
-@dataclass(frozen=True)
-class ParameterError:
-    """Estimated minus true: ``signed`` in the parameter's unit, also in percent of the truth.
-
-    NaN where there is no estimate.
-    """
-
-    signed: float
-    signed_percent: float
-
 
 @dataclass(frozen=True)
 class Score:
-    """The errors of an estimate against the truth.
+    """The errors of an estimate, in percent of the truth; NaN where there is no estimate.
 
-    mean_velocity [m/s], length_scale [m], timescale [s]: the errors of the three parameters.
     hit: whether, of the candidate scales, the one nearest the truth was chosen.
     """
 
-    mean_velocity: ParameterError
-    length_scale: ParameterError
-    timescale: ParameterError
+    mean_velocity: float
+    length_scale: float
+    timescale: float
     hit: bool
 
 
@@ -57,15 +43,15 @@ def score(estimate: Estimate, flow: Flow, scales: Array) -> Score:
     truth = strongest(flow)
     nearest = float(scales[int(np.argmin(np.abs(scales - truth.length_scale)))])
     return Score(
-        mean_velocity=_error(estimate.mean_velocity, truth.mean_velocity),
-        length_scale=_error(estimate.length_scale, truth.length_scale),
-        timescale=_error(estimate.timescale, truth.timescale),
-        hit=bool(estimate.grid_length_scale == nearest),
+        _percent(estimate.mean_velocity, truth.mean_velocity),
+        _percent(estimate.length_scale, truth.length_scale),
+        _percent(estimate.timescale, truth.timescale),
+        bool(estimate.grid_length_scale == nearest),
     )
 
 
-def _error(estimated: float, true: float) -> ParameterError:
-    return ParameterError(estimated - true, 100.0 * (estimated - true) / true)
+def _percent(estimated: float, true: float) -> float:
+    return 100.0 * (estimated - true) / true
 
 
 @dataclass(frozen=True)
@@ -113,7 +99,7 @@ class ScalesScore:
 
 
 def score_scales(
-    estimate: Estimate | tuple[ScaleEstimate, ...], flow: Flow, *, tolerance: float = DETECTED
+    estimate: Estimate | tuple[ScaleEstimate, ...], flow: Flow, *, tolerance: float = 0.05
 ) -> ScalesScore:
     """Match the estimate's scales to the flow's, each to one: the nearest in wavenumber first.
 
@@ -135,14 +121,9 @@ def score_scales(
         if distance <= tolerance and i not in match and j not in match.values():
             match[i] = j
     matched = [(scales[j], flow.cells[i]) for i, j in sorted(match.items())]
-    errors = {
-        name: tuple(
-            _error(getattr(scale, name), getattr(truth, name)).signed_percent
-            for scale, truth in matched
-        )
-        for name in ("length_scale", "mean_velocity")
-    }
-    return ScalesScore(len(flow.cells), len(scales), *errors.values())
+    lengths = (_percent(own.length_scale, truth.length_scale) for own, truth in matched)
+    speeds = (_percent(own.mean_velocity, truth.mean_velocity) for own, truth in matched)
+    return ScalesScore(len(flow.cells), len(scales), tuple(lengths), tuple(speeds))
 
 
 def prediction_error(flow: FlowField | None, flights: Sequence[Flight]) -> float:

@@ -30,14 +30,8 @@ Spacing = Literal["length-scale", "wavenumber", "flight"]
 Bounds = tuple[float, float]
 
 CANDIDATES = (
-    "sin x",
-    "sin y",
-    "cos x",
-    "cos y",
-    "sin x sin y",
-    "sin x cos y",
-    "cos x sin y",
-    "cos x cos y",
+    *("sin x", "sin y", "cos x", "cos y"),
+    *(f"{x} {y}" for x in ("sin x", "cos x") for y in ("sin y", "cos y")),
 )
 MOST = 2_048  # scales, 16,384 columns whose Z'Z alone is 2 GiB, or waves
 BUILD_ROWS = 64  # of theta at once: they stay in cache
@@ -188,14 +182,9 @@ def sines_and_cosines(phase: Array) -> tuple[Array, Array]:
 
 
 def candidate_columns(position: Array, scales: Array) -> Array:
-    """Theta (m, 8 g) of Eq. 19, group-major: one sine and cosine per scale and axis, then products.
+    """Theta (m, 8 g) of Eq. 19, group-major, of length scales (g,) at positions (m, 2) [m].
 
-    Args:
-        position: (m, 2) [m].
-        scales: length scales (g,) [m].
-
-    Raises:
-        InputError: if theta would not fit in memory.
+    Raises InputError where it would not fit in memory.
     """
     _check_size(len(position), len(scales) * len(CANDIDATES))
     theta = np.empty((len(position), len(scales), len(CANDIDATES)))

@@ -22,6 +22,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
+from sparsefit.model.library import Pair, read_vehicles
 from sparsefit.model.scan import WaveScan
 from sparsefit.model.search import EXACT, Search, spectrum
 from sparsefit.model.shapes import (
@@ -38,7 +39,6 @@ from sparsefit.model.shapes import (
     joined,
     read_cells,
 )
-from sparsefit.model.unknowns import Pair, read_vehicles
 
 CLOSE = 10.0  # of BIC, to the best of all: a rival
 STAND = (AXIS, SQUARE, RECTANGLE)  # cells, the simplest first
@@ -128,12 +128,9 @@ class Ladder:
             self.descend(shape, shape.nearest(phases))
 
     def lines(self, candidate: float) -> None:
-        """Square cells along the axes, from the deepest lobes, and the one nearest a candidate."""
+        """Square cells along the axes, from the deepest lobes, and the one of a candidate."""
         lobes = self.search.lobes
-        starts = lobes[:5].tolist()
-        if candidate:
-            starts.append(float(lobes[np.abs(lobes - candidate).argmin()]))
-        for k in dict.fromkeys(starts):
+        for k in dict.fromkeys([*lobes[:5].tolist(), candidate or float(lobes[0])]):
             self.descend(AXIS, np.array([k]))
         if not self.tried:  # nothing in reach: the deepest lobe as it is
             self.tried.append(fitted(self.rows, AXIS, lobes[:1]))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -39,14 +39,10 @@ def fourier_sums(
 ) -> ComplexArray:
     """Sums of loads times exp(i k.x) over rows, (..., 2 half + 1, ...), at all k of a grid.
 
-    Args:
-        place: x of the rows (m, d), d of 1 to 3.
-        step: between wavenumbers along each axis (d,).
-        half: how many steps there are from the middle to either side, along each axis.
-        loads: of the rows (m,) or (j, m).
-        times: how many times k the sums are at.
-        centre: the middle of the grid, where d is 1; else 0.
-        most_single: steps up to which sums are in single precision: they round to 1e-4 of the rows.
+    place: x of the rows (m, d), d of 1 to 3. step (d,), half: between wavenumbers along each axis,
+    and the number of steps from the middle to either side. loads: of the rows, (m,) or (j, m).
+    times: how many times k the sums are at. centre: of the grid, where d is 1; else 0. Up to
+    most_single steps sums are in single precision, where they round to 1e-4 of the rows.
     """
     import finufft
 
@@ -109,12 +105,8 @@ def line_steps(extent: float, bounds: Bounds) -> int:
 def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Array]:
     """The fall of RSS by square cells along the axes: k = pi/L (q,) [1/m] and the gains (q,).
 
-    Their two waves k (1, 1) and k (1, -1) flow at right angles, so that their gains add up.
-
-    Args:
-        rows: of the flights.
-        rest: what is left of them (m, 2) [m/s], times their weight.
-        bounds: of k [1/m].
+    Their two waves k (1, 1) and k (1, -1) flow at right angles, so that their gains add up. rest:
+    what is left of the rows (m, 2) [m/s], times their weight; bounds: of k [1/m].
     """
     position = rows.place[:, :2]
     half = (line_steps(extent_of(position), bounds) + 1) // 2
@@ -138,6 +130,7 @@ class WaveScan:
     radii: Bounds  # the least and the largest |k| [rad/m]
     fastest: float = 0.0  # velocity of waves [m/s]; 0: they stand
     pieces: int = 1  # of the track, each with amplitudes of its own
+    _memory: dict[str, Any] = field(default_factory=dict)  # of the last rows, often asked for twice
 
     @classmethod
     def of(cls, rows: FlowRows, radii: Bounds, fastest: float = 0.0) -> WaveScan | None:
@@ -182,15 +175,6 @@ class WaveScan:
         """1 where a wavevector of the grid (n, n) is between the radii, else 0."""
         low, high = self.radii
         return ((self.radius >= low) & (self.radius <= high)).astype(float)
-
-    @cached_property
-    def count(self) -> float:
-        """The wavevectors that the scan tells apart."""
-        return max(1.0, 0.5 * float(self.inside.sum()))
-
-    @cached_property
-    def _memory(self) -> dict[str, Any]:
-        return {}  # of the last rows, as a fit is asked for twice, and the sums of no rows
 
     def gains(self, rest: Array) -> tuple[Array, Array]:
         """The fall of RSS by one wave (n, n) of rows (m, 2) [m/s], and its omega (n, n) [rad/s]."""

@@ -18,10 +18,9 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.grid import Bounds, extent_of, middle
-from sparsefit.model.library import Library
+from sparsefit.model.library import Library, UnknownColumns, side_by_side
 from sparsefit.model.scan import WaveScan, axis_gains, line_steps, peaks
 from sparsefit.model.shapes import AXIS, FlowRows, ShapeFit, fitted
-from sparsefit.model.unknowns import UnknownColumns, side_by_side
 from sparsefit.rows import Samples
 
 EXACT = 1e-6  # a share of |Phi|^2 that smoothing takes: less tells no shape
@@ -157,7 +156,8 @@ class Search:
         if share < 0.05 or self.scan is None:
             return True
         gain = float(self.scan.gains(rest)[0].max())
-        most = 2 * math.log(self.scan.count / 1e-3) + 8
+        waves = max(1.0, 0.5 * float(self.scan.inside.sum()))  # that the scan tells apart
+        most = 2 * math.log(waves / 1e-3) + 8
         return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
 
     def bic(self, fit: ShapeFit, worth: float | None = None) -> float:

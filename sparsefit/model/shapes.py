@@ -19,7 +19,7 @@ pieces with amplitudes of their own, in which parameters are caught from farther
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -143,18 +143,12 @@ class WaveCells:
         U0^2 = sum_j |k_j|^2 (a_j^2 + b_j^2),    L = sqrt(2) pi / sqrt(mean |k_j|^2)
 
     Two waves make cells between the lines on which (k_1 + k_2).x/2 and (k_1 - k_2).x/2 step by pi.
-
-    Args:
-        mean_velocity: U0 [m/s].
-        length_scale: L [m].
-        length_scales: (L_x, L_y) [m] in the cells' own axes, NaN of one wave.
-        heading: by which these are turned counter-clockwise [rad], in (-pi/4, pi/4].
     """
 
-    mean_velocity: float
-    length_scale: float
-    length_scales: tuple[float, float] = (math.nan, math.nan)
-    heading: float = math.nan
+    mean_velocity: float  # U0 [m/s]
+    length_scale: float  # L [m]
+    length_scales: tuple[float, float] = (math.nan, math.nan)  # [m] along the cells' own axes
+    heading: float = math.nan  # of these, counter-clockwise [rad], in (-pi/4, pi/4]
 
 
 def read_cells(wavevectors: Array, amplitudes: Array) -> WaveCells:
@@ -209,6 +203,7 @@ class FlowRows:
     target: Array  # Phi of the vehicle as it is believed to be, (m, 2) [m/s], times the weight
     unknowns: Array  # N (m, 2, j), times the weight
     weight: Array  # (m,)
+    _cuts: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict)
 
     def cut(self, pieces: int) -> tuple[Array, Array, Array]:
         """The target (s, 2 n), x, y and -t (3, s, n), and -+ weights (s, 1, 2, n) of s pieces.
@@ -227,10 +222,6 @@ class FlowRows:
                 np.pad(self.weight, filled).reshape(pieces, 1, 1, count) * [[-1.0], [1.0]],
             )
         return self._cuts[pieces]
-
-    @cached_property
-    def _cuts(self) -> dict[int, tuple[Array, Array, Array]]:
-        return {}
 
     @cached_property
     def square(self) -> float:

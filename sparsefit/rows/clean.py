@@ -50,19 +50,12 @@ class Repairs:
 
 @dataclass(frozen=True, eq=False)
 class LogPieces:
-    """The samples of a flight and its gaps.
+    """The samples of a flight and its gaps."""
 
-    Args:
-        time: [s], (m,).
-        state: x, y [m], vx, vy [m/s], (m, 4).
-        starts: the first rows of all pieces but the first, (pieces - 1,).
-        velocity_measured: whether the velocity tells more than the position.
-    """
-
-    time: Array
-    state: Array
-    starts: IntArray
-    velocity_measured: bool = True
+    time: Array  # [s], (m,)
+    state: Array  # x, y [m], vx, vy [m/s], (m, 4)
+    starts: IntArray  # the first rows of all pieces but the first, (pieces - 1,)
+    velocity_measured: bool = True  # it tells more than the position
 
     @cached_property
     def slices(self) -> list[slice]:

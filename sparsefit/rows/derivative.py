@@ -86,21 +86,17 @@ class Samples:
             )
         return vehicle.flow_velocity(self.velocity, self.acceleration, self.push)
 
-    def blocks(self, size: int) -> Iterator[tuple[slice, csr_array | None, Array]]:
-        """Rows in blocks: which they are, their rows of Psi, and the positions of the samples.
-
-        size: of samples at once; of averages 256, as they stand for many samples.
-        """
+    def blocks(self) -> Iterator[tuple[slice, Samples]]:
+        """Rows in blocks of bounded memory: which they are, and the samples under them."""
         psi, count = self.operator, len(self.velocity)
-        size = size if psi is None else 256
+        size = 4096 if psi is None else 256
         for start in range(0, count, size):
-            rows = slice(start, min(start + size, count))
-            if psi is None:
-                yield rows, None, self.position[rows]
-                continue
-            used = psi.indices[psi.indptr[rows.start] : psi.indptr[rows.stop]]
-            span = slice(int(used.min()), int(used.max()) + 1)
-            yield rows, psi[rows, span], self.position[span]
+            rows = span = slice(start, min(start + size, count))
+            if psi is not None:
+                used = psi.indices[psi.indptr[rows.start] : psi.indptr[rows.stop]]
+                span = slice(int(used.min()), int(used.max()) + 1)
+            own = None if psi is None else psi[rows, span]
+            yield rows, replace(self, position=self.position[span], operator=own)
 
     def averaged(self, values: Array) -> Array:
         """Psi times values of one row or more per sample, (r m, k); the values of samples."""
