@@ -29,20 +29,11 @@ class Cells(Flow):
     heading: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
 
-    if TYPE_CHECKING:  # fields of one subclass, properties of the other
-
-        @property
-        def length_scale(self) -> float:
-            """L [m] of square cells."""
+    if TYPE_CHECKING:  # a field of one subclass, a property of the other
 
         @property
         def length_scales(self) -> tuple[float, float]:
             """(L_x, L_y) [m]."""
-
-    @property
-    def timescale(self) -> float:
-        """The turnover time, length_scale / mean_velocity [s]."""
-        return self.length_scale / self.mean_velocity
 
     @property
     def period(self) -> float:

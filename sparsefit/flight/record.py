@@ -99,11 +99,9 @@ class Flight(Brief):
             object.__setattr__(self, "velocity", frozen("velocity", rate, ("m", 2)))
         if not isinstance(self.vehicle, PointMassVehicle):
             raise InputError(f"vehicle must be a PointMassVehicle; got {self.vehicle!r}")
-        tau, *others = self.vehicle.parameters
-        if (
-            max(1.0 / tau, others[0]) * LARGEST < 1.0
-            or max(map(abs, (1.0 / tau, *others))) > LARGEST
-        ):
+        _, quadratic, *others = self.vehicle.parameters
+        laws = (self.vehicle.rate, quadratic)
+        if max(laws) < 1.0 / LARGEST or max(map(abs, (*laws, *others))) > LARGEST:
             raise InputError(f"{self.vehicle!r} is no vehicle that flies; change the units")
         one_of("frame", self.frame, FRAMES)
         object.__setattr__(self, "flow", as_flow(self.flow))

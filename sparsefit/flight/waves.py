@@ -61,11 +61,21 @@ class Flow:
             """U0 = sqrt(2 <|w|^2>) [m/s]."""
 
         @property
+        def length_scale(self) -> float:
+            """L [m], of square cells: of others the length of as many waves a metre."""
+
+        @property
         def waves(self) -> WaveFlow:
             """The waves of the stream function."""
 
     cells: tuple[Any, ...] = ()
     """The parts of the flow that an estimator seeks."""
+
+    @property
+    def timescale(self) -> float:
+        """The turnover time, length_scale / mean_velocity [s]; infinite in a flow of no speed."""
+        speed = self.mean_velocity
+        return self.length_scale / speed if speed else math.inf
 
     @property
     def period(self) -> float:
@@ -136,12 +146,6 @@ class WaveFlow(Flow):
         """The length sqrt(2) pi / sqrt(mean |k|^2) [m]: L of the two waves of square cells."""
         squares = np.sum(self.wavevectors**2, axis=1)
         return math.sqrt(2.0 / float(np.mean(squares))) * math.pi
-
-    @property
-    def timescale(self) -> float:
-        """The turnover time, length_scale / mean_velocity [s]; infinite in a flow of no speed."""
-        speed = self.mean_velocity
-        return self.length_scale / speed if speed else math.inf
 
     @property
     def period(self) -> float:

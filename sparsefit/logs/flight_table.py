@@ -29,8 +29,10 @@ VELOCITY = ("vx", "vy")  # m/s
 COLUMNS = (*POSITIONS, *VELOCITY)
 PUSH = ("ax", "ay")  # m/s^2, of the propulsion, measured; in some logs
 CELLS = ("mean_velocity", "length_scale")
-NUMBERS = ("response_time", "thrust_ax", "thrust_ay", "drag", "thrust_scale", *CELLS)
-KEYS = (*NUMBERS, "flow", "frame")
+VEHICLE = {  # the keys of a vehicle, and what holds where one is not given
+    "response_time": math.inf, "thrust_ax": 0.0, "thrust_ay": 0.0, "drag": 0.0, "thrust_scale": 1.0
+}  # fmt: skip
+KEYS = (*VEHICLE, *CELLS, "flow", "frame")
 KINDS: dict[str, type[Any]] = {
     "cells": CellularFlow,
     "shaped-cells": ShapedCells,
@@ -70,11 +72,10 @@ class FlightTable:
         columns = {name: values[:, place] for place, name in enumerate(names)}
         if flight.thrust is not None:
             columns |= dict(zip(PUSH, flight.thrust.T, strict=True))
-        vehicle = flight.vehicle
-        settings = {"response_time": vehicle.response_time} if vehicle.rate else {}
-        settings |= dict(zip(NUMBERS[1:3], vehicle.thrust_acceleration, strict=True))
-        settings |= {"drag": vehicle.drag} if vehicle.drag else {}
-        settings |= {"thrust_scale": vehicle.thrust_scale} if vehicle.thrust_scale != 1.0 else {}
+        tau, quadratic, ax, ay, scale = flight.vehicle.parameters
+        given = dict(zip(VEHICLE, (tau, ax, ay, quadratic, scale), strict=True))
+        always = ("thrust_ax", "thrust_ay")
+        settings = {key: v for key, v in given.items() if key in always or v != VEHICLE[key]}
         return cls(columns, settings, flight.flow, flight.frame)
 
     def flight(self, vehicle: PointMassVehicle | None = None) -> Flight:
@@ -115,28 +116,29 @@ def said(entries: Iterable[tuple[str, str, str]], *, strict: bool) -> dict[str, 
         InputError: naming the place, on a key that is unknown or stands twice and on a value
             that is none of its kind.
     """
-    texts: dict[str, str] = {}
-    numbers: dict[str, float] = {}
-    flow: Flow | None = None
+    texts: dict[str, tuple[str, str]] = {}
     for place, key, text in entries:
-        if key not in KEYS:
-            if strict:
-                raise InputError(f"{place}: {unknown('key', key, KEYS)}")
-            continue
         if key in texts:
             raise InputError(f"{place}: {key} is given twice; keep one")
-        texts[key] = text.strip()
-        if key in NUMBERS:
-            numbers[key] = number(text, f"{place}, {key}")
-        elif key == "flow":
-            where = Place(place, "", "flow")
-            try:
-                flow = _flow_of(json.loads(text), where)
-            except (json.JSONDecodeError, RecursionError):
-                raise where.error("is no JSON object of a flow; repair or drop it") from None
-        else:
-            with told_with(place):
-                one_of("frame", texts[key], filter(None, FRAMES))
+        if key in KEYS:
+            texts[key] = place, text.strip()
+        elif strict:
+            raise InputError(f"{place}: {unknown('key', key, KEYS)}")
+    numbers = {
+        key: number(text, f"{place}, {key}")
+        for key, (place, text) in texts.items()
+        if key in VEHICLE or key in CELLS
+    }
+    flow: Flow | None = None
+    if "flow" in texts:
+        where = Place(texts["flow"][0], "", "flow")
+        try:
+            flow = _flow_of(json.loads(texts["flow"][1]), where)
+        except (json.JSONDecodeError, RecursionError):
+            raise where.error("is no JSON object of a flow; repair or drop it") from None
+    place, frame = texts.get("frame", ("", ""))
+    with told_with(place):
+        one_of("frame", frame, FRAMES if not place else filter(None, FRAMES))
     cells = [numbers.pop(name) for name in CELLS if name in numbers]
     if len(cells) == 1:
         alone, other = sorted(CELLS, key=lambda name: name not in texts)
@@ -144,7 +146,7 @@ def said(entries: Iterable[tuple[str, str, str]], *, strict: bool) -> dict[str, 
     if cells and flow is not None:
         raise InputError("mean_velocity and flow both say what the flow is; drop one")
     flow = CellularFlow(*cells) if cells else flow
-    return {"settings": numbers, "flow": flow, "frame": texts.get("frame", "")}
+    return {"settings": numbers, "flow": flow, "frame": frame}
 
 
 def vehicle_of(settings: Mapping[str, float]) -> PointMassVehicle:
@@ -153,14 +155,12 @@ def vehicle_of(settings: Mapping[str, float]) -> PointMassVehicle:
     Raises:
         InputError: if they name neither a response time nor drag, or a value is out of its range.
     """
-    drag = settings.get("drag", 0.0)
-    if "response_time" not in settings and not drag:
+    tau, ax, ay, quadratic, scale = (settings.get(key, least) for key, least in VEHICLE.items())
+    if tau == math.inf and not quadratic:
         raise InputError(
             "no vehicle: the file has no `# response_time=` line; add it or pass vehicle="
         )
-    constant = (settings.get("thrust_ax", 0.0), settings.get("thrust_ay", 0.0))
-    response, scale = settings.get("response_time", math.inf), settings.get("thrust_scale", 1.0)
-    return PointMassVehicle(response, constant, drag, scale)
+    return PointMassVehicle(tau, (ax, ay), quadratic, scale)
 
 
 def number(text: str, place: str) -> float:
