@@ -65,8 +65,8 @@ class Fit(Brief):
         values = getattr(theta, "to_numpy", lambda: theta)()
         is_sparse = hasattr(values, "tocsr")
         rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))
-        if rows.shape[1] != self.columns:
-            raise InputError(f"predict needs {self.columns} columns, not {rows.shape[1]}")
+        if rows.shape[1] != self.problem.columns:
+            raise InputError(f"predict needs {self.problem.columns} columns, not {rows.shape[1]}")
         out: Array = np.asarray(rows @ self.weights) + self.problem.intercept_of(self.weights)
         return out[:, 0] if out.shape[1] == 1 else out
 
@@ -83,7 +83,7 @@ class Fit(Brief):
         proof = f"{verified.kind} {verified.value:.1e}" if verified else "no certificate"
         penalty = "" if math.isnan(self.alpha) else f", alpha {self.alpha:.4g}"
         words = f"{self.backend!r}{penalty}: {self.status} ({proof}), "
-        words += f"{len(support)} of {self.columns} columns"
+        words += f"{len(support)} of {self.problem.columns} columns"
         words += f"; {self.reason}" if self.reason else ""
         rms = self.problem.design.rms[support, None]
         size = np.abs(self.weights[support] * rms).max(axis=1)
@@ -96,16 +96,6 @@ class Fit(Brief):
     def support(self) -> IntArray:
         """Indices (c,) of the columns with a weight that is not zero for some target."""
         return np.flatnonzero(np.any((self.weights != 0) & np.isfinite(self.weights), axis=1))
-
-    @property
-    def samples(self) -> int:
-        """Rows m of the problem."""
-        return self.problem.samples
-
-    @property
-    def columns(self) -> int:
-        """Columns k of the problem."""
-        return self.problem.columns
 
 
 @dataclass(frozen=True, eq=False, repr=False)

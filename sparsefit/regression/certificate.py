@@ -59,7 +59,6 @@ from sparsefit.regression.penalties import Penalty, SquaredNorm
 
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
 UNIT = 2.0**-53  # the relative rounding of one operation
-ENTRIES = 2**22  # of residuals that are formed at once
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def duality_gaps(
     points, (rows, n) = len(weights), target.shape
     target_square = np.einsum("it,it->t", target, target) / design.samples
     level, certificates = np.sqrt(target_square), []
-    step = max(ENTRIES // (n * max(rows, design.shape[1])), 1)
+    step = max(2**22 // (n * max(rows, design.shape[1])), 1)
     for start in range(0, points, step):
         part = slice(start, min(start + step, points))
         scaled = weights[part] * design.rms[:, None]

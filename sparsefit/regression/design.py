@@ -32,7 +32,6 @@ from sparsefit.errors import InputError
 
 ROW_BLOCK = 8192  # rows a pass of a dense design: they stay in cache for what is done to them
 BLOCK_BYTES = 2**26  # of a block of rows that is read from a disk
-SPARSE_BELOW = 0.5  # share of the columns in use, below which gathering these pays
 
 Index = IntArray | slice
 
@@ -213,7 +212,7 @@ class Design:
     def raw_predict(self, values: Array) -> Array:
         """Theta W (m, n) of W (k, n); columns that are not in use are not read."""
         few = np.flatnonzero(values.any(axis=1))
-        used: Index = few if len(few) < SPARSE_BELOW * len(values) else slice(None)
+        used: Index = few if len(few) < 0.5 * len(values) else slice(None)
         out = np.empty((self.shape[0], values.shape[1]))
         for part, block in self.blocks():
             out[part] = _array(_taken(block, used) @ values[used])

@@ -34,7 +34,6 @@ from sparsefit.regression.problem import RegressionProblem
 __all__ = ["TOLERANCE", "Fit", "Path", "certificate_of", "fit", "path"]
 
 TOLERANCE = 1e-8
-SEVERAL = 4  # solutions, from which certificates are taken from Z'Z where it is there
 
 
 def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLERANCE) -> Fit:
@@ -49,17 +48,10 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
         seconds, chosen = perf_counter() - start, whole.fits[choice.index]
         return dataclasses.replace(chosen, seconds=seconds, penalty_choice=choice)
     convex = backend.certificate_kind == "duality_gap"
+    wanted = np.empty(0)
     if (along or convex) and isinstance(backend, PenalisedBackend):
-        fraction = numeric_fraction(backend.name, backend.alpha_fraction)
-        return _along(problem, backend, np.array([fraction]), tolerance).fits[0]
-    start = perf_counter()
-    with quiet():
-        raw, seconds = backend.solve(problem), perf_counter() - start
-    solution = _received(raw, backend, problem)
-    problem.refuse_changes()
-    certificate = certificate_of(problem, backend, solution)
-    seconds += solution.shared_seconds
-    return _judged(problem, backend, solution, certificate, seconds, tolerance)
+        wanted = np.array([numeric_fraction(backend.name, backend.alpha_fraction)])
+    return _along(problem, backend, wanted, tolerance).fits[0]
 
 
 def path(
@@ -86,19 +78,16 @@ def path(
     return _along(problem, backend, wanted, tolerance)
 
 
-def _along(
-    problem: RegressionProblem, backend: PenalisedBackend, wanted: Array, tolerance: float
-) -> Path:
-    """The fits at penalty fractions (p,), solved from the strongest on."""
+def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: float) -> Path:
+    """The fits at penalty fractions (p,), solved from the strongest on; one where there is none."""
     order = np.argsort(-wanted, kind="stable")
     fractions = tuple(wanted[order].tolist())
-    frozen: Any = backend
-    points = [dataclasses.replace(frozen, alpha_fraction=fraction) for fraction in fractions]
+    points = [dataclasses.replace(backend, alpha_fraction=each) for each in fractions] or [backend]
     start, raw, seconds = perf_counter(), [], []
     with quiet():
-        if isinstance(backend, PathBackend):
+        if fractions and isinstance(backend, PathBackend):
             raw = list(backend.solve_path(problem, fractions))
-            seconds = [(perf_counter() - start) / len(fractions)] * len(fractions)
+            seconds = [(perf_counter() - start) / len(points)] * len(points)
         else:
             for point in points:
                 begun = perf_counter()
@@ -109,19 +98,21 @@ def _along(
         raise InputError(f"back-end {backend.name!r} returned {words}")
     solutions = [_received(solution, backend, problem) for solution in raw]
     problem.refuse_changes()
-    penalty = backend.penalty(problem)
-    unit = problem.alpha_max(penalty)
-    if backend.certificate_kind == "duality_gap":
+    unit = float("nan")
+    if fractions:
+        penalty = backend.penalty(problem)
+        unit = problem.alpha_max(penalty)
+    if fractions and backend.certificate_kind == "duality_gap":
         alphas = unit * np.array(fractions)
         certificates = _gaps(problem, solutions, alphas, penalty, tolerance)
     else:
         pairs = zip(points, solutions, strict=True)
         certificates = [certificate_of(problem, *pair) for pair in pairs]
     fits = [
-        _repaired(_judged(problem, *point, tolerance), tolerance)
+        _judged(problem, *point, tolerance)
         for point in zip(points, solutions, certificates, seconds, strict=True)
     ]
-    in_turn = tuple(fits[place] for place in np.argsort(order).tolist())
+    in_turn = tuple(fits[place] for place in np.argsort(order).tolist()) or tuple(fits)
     return Path(wanted, unit, in_turn, perf_counter() - start)
 
 
@@ -140,25 +131,7 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
         raise InputError(f"{where} weights that are no array of real numbers") from None
     if weights.shape != (right := (problem.columns, problem.targets)):
         raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
-    same = weights is solution.weights
-    return solution if same else dataclasses.replace(solution, weights=weights)
-
-
-def _repaired(fast: Fit, tolerance: float) -> Fit:
-    """The referee's answer where the certificate rejects the fast path's, if it is the better."""
-    if fast.certificate is not None and fast.certificate.value <= tolerance:
-        return fast  # what rounding hides of it, another solver's answer hides too
-    referee = fast.backend.referee() if isinstance(fast.backend, PathBackend) else None
-    if referee is None:
-        return fast
-    slow = fit(fast.problem, referee, tolerance=tolerance)
-    seconds = fast.seconds + slow.seconds
-    if slow.certificate is None or (
-        fast.certificate is not None and not slow.certificate.value < fast.certificate.value
-    ):
-        best = slow if fast.certificate is None else fast
-        return dataclasses.replace(best, backend=fast.backend, seconds=seconds)
-    return dataclasses.replace(slow, backend=fast.backend, seconds=seconds, repaired=True)
+    return dataclasses.replace(solution, weights=weights)
 
 
 def _gaps(
@@ -176,8 +149,12 @@ def _gaps(
     gaps: list[Certificate | None] = [None] * len(solutions)
     places = np.array([i for i, each in enumerate(solutions) if _finite(each)], dtype=int)
     # Not for a few: whether Z'Z was formed must not show in their certificates.
-    by_gram = len(solutions) >= SEVERAL and problem.design.formed and np.isinf(penalty.loss.clip)
-    if by_gram and len(places):
+    if (
+        len(solutions) >= 4
+        and problem.design.formed
+        and np.isinf(penalty.loss.clip)
+        and len(places)
+    ):
         weights = np.stack([np.asarray(solutions[i].weights) for i in places])
         proofs = gram_gaps(problem.statistics, weights, alphas[places], penalty)
         for i, certificate in zip(places.tolist(), proofs, strict=True):
@@ -241,7 +218,10 @@ def _judged(
     seconds: float,
     tolerance: float,
 ) -> Fit:
-    """The fit that a solution with this certificate makes; without one it is an error."""
+    """The fit that a solution with this certificate makes; without one it is an error.
+
+    Where the certificate rejects the fast path's answer it is the referee's, if that is better.
+    """
     status: str = solution.status
     reason, weights = solution.reason, solution.weights
     if weights is None or certificate is None:
@@ -259,12 +239,24 @@ def _judged(
             status, reason = "inaccurate", f"{words}; {reason}" if reason else words
         elif status == "inaccurate" and certificate.kind != "fixed_point":
             status, reason = "ok", ""
-    return Fit(
-        *(weights, status, reason, certificate, seconds, backend),
+    fast = Fit(
+        *(weights, status, reason, certificate, seconds + solution.shared_seconds, backend),
         *(solution.solver_status, solution.iterations),
         problem=problem,
         shared_seconds=solution.shared_seconds,
     )
+    if certificate is not None and certificate.value <= tolerance:
+        return fast  # what rounding hides of it, another solver's answer hides too
+    referee = backend.referee() if isinstance(backend, PathBackend) else None
+    if referee is None:
+        return fast
+    slow = fit(problem, referee, tolerance=tolerance)
+    better = slow.certificate is not None
+    if certificate is not None and slow.certificate is not None:
+        better = slow.certificate.value < certificate.value
+    best = slow if better or certificate is None else fast
+    seconds = fast.seconds + slow.seconds
+    return dataclasses.replace(best, backend=backend, seconds=seconds, repaired=better)
 
 
 def _check(problem: Any, backend: Any, tolerance: Any) -> None:

@@ -16,8 +16,6 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, Slope
 
-STEPS = 60  # of Newton's method for a dual norm; about five are taken
-
 
 @dataclass(frozen=True, eq=False)
 class GroupNorms(Penalty):
@@ -152,7 +150,7 @@ class NestedNorms(Penalty):
             largest, floor = highest(sizes / (inner + omega[member])), highest(sizes / inner)
         live = largest > 0
         x = np.where(live, 1.0 / np.where(live, largest, 1.0), 0.0)
-        for _ in range(STEPS):
+        for _ in range(60):
             excess = np.maximum(sizes * x[..., member, :] - inner, 0.0)
             length = np.sqrt(block_sums(excess**2, None, starts, joint))
             slope = block_sums(sizes * excess, None, starts, joint) / np.where(

@@ -15,8 +15,6 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.penalties import Penalty, Slope, soft
 
-TURNS = 60  # of Dinkelbach's method; about five are taken
-
 
 @dataclass(frozen=True, eq=False)
 class SortedNorm(Penalty):
@@ -114,7 +112,7 @@ class FusedNorm(Penalty):
         first = r * place + np.where(place == 0, 1.0 - r, 0.0)  # what a run from here on saves
         last = r * place - np.where(place == k, 1.0 - r, 0.0) + 2.0 * (1.0 - r)
         peak = np.zeros((*values.shape[:-2], values.shape[-1]))
-        for _ in range(TURNS):
+        for _ in range(60):
             level, best = peak[..., None, :], peak
             for sign in (1.0, -1.0):
                 start = sign * sums - level * first

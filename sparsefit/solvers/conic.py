@@ -29,7 +29,6 @@ from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
 
-VIOLATION = 1e-10  # relative: below it a block outside the working set is optimal at zero
 EPS = ("eps_abs", "eps_rel")
 BEHIND_CVXPY: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "clarabel": (("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1}),
@@ -89,7 +88,7 @@ class Clarabel:
                 )
                 excess = np.where(in_play, -1.0, penalty.objections(pull, values, alpha))
                 worst = np.argsort(-excess)[: max(self.batch, int(in_play.sum()) // 2)]
-                joining = worst[excess[worst] > VIOLATION]
+                joining = worst[excess[worst] > 1e-10]
                 if not len(joining):
                     break
                 in_play[joining] = True

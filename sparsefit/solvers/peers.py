@@ -35,7 +35,6 @@ Kind: TypeAlias = Literal[
     "LASSO", "elastic net", "group-LASSO", "joint group-LASSO", "sparse-group LASSO", "SLOPE", ""
 ]
 """The families of penalties that public solvers know; empty for any other."""
-TALL = 1.5  # rows per column from which a QR or X'X saves more than it costs
 SINGLE: tuple[Kind, ...] = ("LASSO", "elastic net")
 GROUPED: tuple[Kind, ...] = ("group-LASSO", "joint group-LASSO")
 ON_GRAM = "on Z'Z, or on the rows where they are fewer"
@@ -103,9 +102,9 @@ class Task:
 
     @property
     def tall(self) -> bool:
-        """Whether X is dense and its rows are many."""
+        """Whether X is dense and its rows so many that a QR or X'X saves more than it costs."""
         (m, k), n = self.design.shape, self.target.shape[1]
-        return isinstance(self.design, np.ndarray) and m > TALL * (k + n)
+        return isinstance(self.design, np.ndarray) and m > 1.5 * (k + n)
 
     @cached_property
     def gram(self) -> Array:
@@ -213,7 +212,7 @@ def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
     return between.T
 
 
-def _lars(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+def by_scikit_learn_lars(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """Breakpoints of scikit-learn's LARS (Efron et al. 2004); iterations: events per column."""
     linear_model: Any = import_module("sklearn.linear_model")
     most = iterations * len(task.groups)
@@ -229,7 +228,7 @@ def _lars(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     return _interpolated(knots, values, task.fractions)
 
 
-def _spams(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+def by_spams(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """Breakpoints of the LARS of SPAMS; iterations: events per row or column."""
     spams: Any = import_module("spams")
     root, columns = math.sqrt(task.samples), len(task.groups)
@@ -250,7 +249,7 @@ def _spams(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     return _interpolated(knots, values, task.fractions)
 
 
-def _descent(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+def by_scikit_learn_cd(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """Coordinate descent of scikit-learn, each point from the last; stop: of its gap."""
     linear_model: Any = import_module("sklearn.linear_model")
     form: dict[str, Any] = {"precompute": False}
@@ -268,7 +267,7 @@ def _descent(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     return np.stack(values[1:])
 
 
-def _celer(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+def by_celer(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """``celer_path`` (Massias, Gramfort and Salmon 2018); stop: of its gap over |y|^2."""
     (alphas, ratio), single = task.elastic, task.kind in SINGLE
     package: Any = import_module("celer")
@@ -281,7 +280,7 @@ def _celer(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     return values
 
 
-def _glum(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+def by_glum(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """IRLS with descent; stop: the norm of its minimum-norm subgradient."""
     package: Any = import_module("glum")
     (design, target), (alphas, ratio) = task.rows(targets), task.elastic
@@ -293,7 +292,7 @@ def _glum(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     return np.stack([np.array(each.coef_) for each in fits])
 
 
-def _sortedl1(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+def by_sortedl1(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """``Slope.path`` (Larsson et al. 2023), the whole of it; stop: of its relative gap."""
     package: Any = import_module("sortedl1")
     design, target = task.rows(targets)
@@ -308,7 +307,7 @@ def _sortedl1(task: Task, targets: slice, stop: float, iterations: int) -> Array
     return values
 
 
-def _skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
+def by_skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """AndersonCD, GroupBCD or FISTA (Bertrand et al. 2022), each point from the last one.
 
     stop: of the largest violation of its optimality conditions, in the largest penalty.
@@ -375,18 +374,24 @@ class Entry:
 
 BREAKPOINTS: dict[str, Any] = {"iterations": 10, "stops": False, "reads_sparse": False}
 PEERS: dict[str, Entry] = {
-    "scikit-learn-lars": Entry(_lars, "sklearn", SINGLE[:1], f"lars_path {ON_GRAM}", **BREAKPOINTS),
-    "spams": Entry(
-        _spams, "spams", SINGLE[:1], f"LARS {ON_GRAM}", **BREAKPOINTS, extra="spams-bin"
+    "scikit-learn-lars": Entry(
+        by_scikit_learn_lars, "sklearn", SINGLE[:1], f"lars_path {ON_GRAM}", **BREAKPOINTS
     ),
-    "scikit-learn-cd": Entry(_descent, "sklearn", SINGLE, f"enet_path {ON_GRAM}", 100_000),
-    "celer": Entry(_celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200),
+    "spams": Entry(
+        by_spams, "spams", SINGLE[:1], f"LARS {ON_GRAM}", **BREAKPOINTS, extra="spams-bin"
+    ),
+    "scikit-learn-cd": Entry(
+        by_scikit_learn_cd, "sklearn", SINGLE, f"enet_path {ON_GRAM}", 100_000
+    ),
+    "celer": Entry(by_celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200),
     "skglm": Entry(
-        *(_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
+        *(by_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
         f"AndersonCD, GroupBCD, FISTA {ON_ROWS}",
     ),
-    "glum": Entry(_glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}"),
-    "sortedl1": Entry(_sortedl1, "sortedl1", ("SLOPE", "LASSO"), f"Slope.path {ON_ROWS}", 100_000),
+    "glum": Entry(by_glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}"),
+    "sortedl1": Entry(
+        by_sortedl1, "sortedl1", ("SLOPE", "LASSO"), f"Slope.path {ON_ROWS}", 100_000
+    ),
 }
 """The public solvers of penalised least squares by name."""
 

@@ -24,10 +24,6 @@ from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
-UNSAFE = 1e-9  # of Z'Z: a group with an eigenvalue below it, relative, is projected on by its rows
-DOUBT = 1e-6  # of |Y|^2: residuals this close in Gram space are settled on the rows
-MOST = 64  # groups that are taken one by one, whatever the rule says
-
 
 def explained(problem: RegressionProblem, weights: Array | None = None) -> Array:
     """|P_g R|^2 / m (g,): what each group alone explains of R = Y - theta W (W = 0 without).
@@ -49,7 +45,7 @@ def explained(problem: RegressionProblem, weights: Array | None = None) -> Array
         index = order[starts[chosen][:, None] + np.arange(size)]
         roots, vectors = np.linalg.eigh(statistics.gram[index[:, :, None], index[:, None, :]])
         load = np.sum((vectors.transpose(0, 2, 1) @ cross[index]) ** 2, axis=2)
-        sound = roots > UNSAFE * roots[:, -1:]
+        sound = roots > 1e-9 * roots[:, -1:]
         gains[chosen] = np.sum(np.where(sound, load / np.where(sound, roots, 1.0), 0.0), axis=1)
         for i in np.flatnonzero(~sound.all(axis=1)):
             z = problem.design.columns(index[i])
@@ -77,7 +73,7 @@ class SupportSearch(Checked, ABC):
     """Base of the back-ends that find a support and fit it by least squares: a fixed point."""
 
     certificate_kind: ClassVar[CertificateKind] = "fixed_point"
-    most: ClassVar[int] = MOST  # steps
+    most: ClassVar[int] = 64  # steps
 
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights on the support that steps from zero find; a target of zeros has none."""
@@ -112,7 +108,7 @@ class BestScale(SupportSearch):
     def step(self, problem: RegressionProblem, weights: Array) -> Array | None:
         gains = explained(problem)
         # Z'Z loses what nearly exact fits differ by: those in doubt are compared on the rows.
-        close = gains >= gains.max() - DOUBT * problem.statistics.target_square.sum()
+        close = gains >= gains.max() - 1e-6 * problem.statistics.target_square.sum()
         fits = (fit_on(problem, group) for group in np.flatnonzero(close))
         best, _ = min(fits, key=lambda fit: fit[1])
         return None if np.array_equal(best != 0, weights != 0) else best
