@@ -27,8 +27,6 @@ class Fit(Brief):
     ``unidentifiable`` or ``error``, with its reason; seconds of the solve; ``repaired``: the
     certificate rejected the fast path's answer and this one is the referee's. ``penalty_choice``:
     how the back-end's alpha_fraction, here the chosen number, was found where "auto" was asked for.
-    ``shared_seconds``: the part of seconds that an earlier fit spent, on a factorisation that this
-    one uses.
     """
 
     weights: Array
@@ -41,7 +39,6 @@ class Fit(Brief):
     iterations: int | None = None
     repaired: bool = False
     penalty_choice: PenaltyChoice | None = field(default=None, repr=False, kw_only=True)
-    shared_seconds: float = field(default=0.0, repr=False, kw_only=True)
     problem: RegressionProblem = field(repr=False, kw_only=True)
 
     @property

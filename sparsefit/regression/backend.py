@@ -66,9 +66,9 @@ class Solution:
 class Backend(Protocol):
     """A sparse regression back-end: a frozen dataclass whose fields are its settings.
 
-    ``certificate_kind`` says what the caller verifies: ``duality_gap`` back-ends also have
-    ``alpha_fraction`` and ``penalty(problem)``, ``normal_equations`` ones ``rcond``, and
-    ``fixed_point`` ones ``next_weights(problem, weights)``, what one more iteration makes of these.
+    ``certificate_kind``: ``duality_gap`` back-ends also have ``alpha_fraction`` and
+    ``penalty(problem)``, ``normal_equations`` ones ``rcond``, and ``fixed_point`` ones
+    ``next_weights(problem, weights)``, what one more iteration makes of these.
     """
 
     name: ClassVar[str]
@@ -115,18 +115,16 @@ def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> Non
     """Raise InputError unless value is a penalty fraction in (0, 1], or "auto" where it may be."""
     if auto and isinstance(value, str) and value == "auto":
         return
-    meaning = "it is the penalty as a fraction of the smallest one whose solution is zero"
-    meaning += ', or "auto", to be chosen from the data' if auto else ""
-    limits: dict[str, Any] = {"low": 0.0, "high": 1.0, "open_low": True}
-    number_setting(owner, "alpha_fraction", value, **limits, meaning=meaning)
+    words = "it is the penalty as a fraction of the smallest one whose solution is zero"
+    words += ', or "auto", to be chosen from the data' if auto else ""
+    number_setting(owner, "alpha_fraction", value, low=0.0, high=1.0, open_low=True, meaning=words)
 
 
 def numeric_fraction(owner: str, value: AlphaFraction) -> float:
     """The penalty fraction where one is needed. Raises InputError on "auto"."""
     if isinstance(value, str):
-        raise InputError(
-            f'{owner}: alpha_fraction "{value}" is chosen by sparsefit.fit; solve needs a number'
-        )
+        words = f'alpha_fraction "{value}" is chosen by sparsefit.fit; solve needs a number'
+        raise InputError(f"{owner}: {words}")
     return value
 
 

@@ -58,7 +58,6 @@ from sparsefit.regression.losses import RootSquares
 from sparsefit.regression.penalties import Penalty, SquaredNorm
 
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
-UNIT = 2.0**-53  # the relative rounding of one operation
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,7 @@ def duality_gaps(
         )
         used = int(np.count_nonzero(values.any(axis=1)))
         gamma = rounding_of(design.terms + 2 * used * n + 20)
-        reach, root = _reach(target_square, scaled), np.sqrt(square)
+        reach, root = level + np.abs(scaled).sum(axis=1), np.sqrt(square)
         rho = design.spread * rounding_of(used + 8) * reach
         error = design.spread * gamma * root + rho
         correlation = design.correlate(pull).reshape(-1, count, n).transpose(1, 0, 2)
@@ -162,18 +161,11 @@ def gram_gaps(
     product = target_square - np.einsum("pkt,kt->pt", scaled, statistics.cross)
     square = np.maximum(product - np.einsum("pkt,pkt->pt", scaled, correlation), 0.0)
     gamma = design.spread**2 * rounding_of(design.terms + 2 * len(used) * targets + 20)
-    reach = _reach(target_square, scaled)
-    residual = _Residual(
-        correlation,
-        square,
-        product,
-        square,
-        gamma * reach,
-        gamma * reach**2,
-        gamma * reach * np.sqrt(target_square),
-        gamma,
-    )
-    level, null = np.sqrt(target_square), np.full(targets, np.inf)
+    level = np.sqrt(target_square)
+    reach = level + np.abs(scaled).sum(axis=1)
+    errors = (gamma * reach, gamma * reach**2, gamma * reach * level)
+    residual = _Residual(correlation, square, product, square, *errors, gamma)
+    null = np.full(targets, np.inf)
     return tuple(_certificates(residual, scaled, alphas, penalty, level, null))
 
 
@@ -311,10 +303,5 @@ def sharpened(
 
 def rounding_of(count: int) -> float:
     """gamma_N = N u / (1 - N u), by how much a sum of N products can be off, relative."""
-    return count * UNIT / (1.0 - count * UNIT)
-
-
-def _reach(target_square: Array, scaled: Array) -> Array:
-    """y + l (p, n): the most that a target and its weights can sum up to."""
-    reach: Array = np.sqrt(target_square) + np.abs(scaled).sum(axis=1)
-    return reach
+    unit = 2.0**-53  # the relative rounding of one operation
+    return count * unit / (1.0 - count * unit)

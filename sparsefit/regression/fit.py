@@ -243,7 +243,6 @@ def _judged(
         *(weights, status, reason, certificate, seconds + solution.shared_seconds, backend),
         *(solution.solver_status, solution.iterations),
         problem=problem,
-        shared_seconds=solution.shared_seconds,
     )
     if certificate is not None and certificate.value <= tolerance:
         return fast  # what rounding hides of it, another solver's answer hides too

@@ -94,9 +94,9 @@ class GroupNorms(Penalty):
         terms = []
         for group, weight in enumerate(self.weights):
             block = variable[np.flatnonzero(self.groups == group), :]
-            axis = None if self.together else 0
-            size = cvxpy.norm(cvxpy.vec(block, order="C"), 2)
-            terms.append(weight * (size if axis is None else cvxpy.sum(cvxpy.norm(block, 2, axis))))
+            apart = [block[:, t] for t in range(block.shape[1])]
+            each = [cvxpy.vec(block, order="C")] if self.together else apart
+            terms += [weight * cvxpy.norm(part, 2) for part in each]
         return cvxpy.sum(cvxpy.hstack(terms)), []
 
 

@@ -17,14 +17,14 @@ from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.regression.problem import RegressionProblem
 
-FRACTIONS = tuple(np.geomspace(1.0, 1e-3, 30).tolist())
+FRACTIONS: tuple[float, ...] = tuple(np.geomspace(1.0, 1e-3, 30).tolist())
 FOLDS = 5  # of cross-validation: each a fifth of the samples, in one piece
 FLOOR = float(np.finfo(float).eps)  # of a residual relative to the target: a perfect fit
 
 
 @dataclass(frozen=True, eq=False)
 class PenaltyChoice:
-    """The choice of a penalty: ``criterion`` (p,) at ``fractions`` (p,), and the ``index`` taken.
+    """The choice of a penalty: ``criterion`` (p,) at FRACTIONS (p,), and the ``index`` taken.
 
     criterion: the information criterion, or the relative squared error on held-out folds; NaN where
     there is no solution. ``errors`` (p,): standard errors of the held-out error's excess over the
@@ -33,7 +33,6 @@ class PenaltyChoice:
     """
 
     selection: Selection
-    fractions: Array
     criterion: Array
     index: int
     errors: Array | None = None
@@ -42,7 +41,7 @@ class PenaltyChoice:
     @property
     def fraction(self) -> float:
         """The chosen alpha_fraction."""
-        return float(self.fractions[self.index])
+        return FRACTIONS[self.index]
 
 
 def choose_penalty(
@@ -55,8 +54,7 @@ def choose_penalty(
     """
     selection: Selection = getattr(backend, "selection", "cross-validation")
     if not np.isfinite(weights).all(axis=(1, 2)).any():
-        missing = np.full(len(weights), np.nan)
-        return PenaltyChoice(selection, np.array(FRACTIONS), missing, 0)
+        return PenaltyChoice(selection, np.full(len(weights), np.nan), 0)
     choose = cross_validation if selection == "cross-validation" else information_criterion
     return choose(problem, backend, weights)
 
@@ -78,7 +76,7 @@ def information_criterion(
     residuals = problem.target[:, None, :] - fitted.reshape(-1, points, targets)
     null = np.einsum("it,it->t", problem.target, problem.target)
     size = float(problem.samples)
-    if not problem.is_compressed:  # rows that mix samples say nothing of their order
+    if problem.sample_count is None:  # rows that mix samples say nothing of their order
         size = effective_samples(residuals[:, solved[-1]])
     penalty = backend.penalty(problem)
     alphas = problem.alpha_max(penalty) * np.array(FRACTIONS)
@@ -88,8 +86,7 @@ def information_criterion(
         pull = design.correlate(residuals[:, i])
         freedom = degrees_of_freedom(design, scaled[i], pull, float(alphas[i]), penalty)
         criterion[i] = size * np.log(np.maximum(share, FLOOR)).sum() + math.log(size) * freedom
-    chosen, fractions = int(np.nanargmin(criterion)), np.array(FRACTIONS)
-    return PenaltyChoice("bic", fractions, criterion, chosen, None, size)
+    return PenaltyChoice("bic", criterion, int(np.nanargmin(criterion)), None, size)
 
 
 def degrees_of_freedom(
@@ -153,13 +150,13 @@ def cross_validation(
     weights (p, k, n): the path on all samples, NaN where it failed. Raises InputError on fewer than
     2 samples a fold, and on compressed ones.
     """
-    if problem.is_compressed or problem.samples < 2 * FOLDS:
+    if problem.sample_count is not None or problem.samples < 2 * FOLDS:
         least = f"at least {2 * FOLDS} samples, not {problem.samples}"
-        words = "samples, but they are compressed" if problem.is_compressed else least
+        words = "samples, but they are compressed" if problem.sample_count else least
         raise InputError(f"cross-validation needs {words}; give alpha_fraction as a number")
     folds = np.array_split(np.arange(problem.samples), FOLDS)
     square = float(np.einsum("it,it->", problem.target, problem.target)) / problem.samples or 1.0
-    losses, fractions = np.empty((FOLDS, len(FRACTIONS))), np.array(FRACTIONS)
+    losses = np.empty((FOLDS, len(FRACTIONS)))
     missing = np.full((problem.columns, problem.targets), np.nan)
     for i, fold in enumerate(folds):
         part = problem.part(np.concatenate(folds[:i] + folds[i + 1 :]))
@@ -172,8 +169,8 @@ def cross_validation(
     losses[:, ~np.isfinite(weights).all(axis=(1, 2))] = np.nan
     mean = losses.mean(axis=0)
     if not np.isfinite(mean).any():
-        return PenaltyChoice("cross-validation", fractions, mean, 0)
+        return PenaltyChoice("cross-validation", mean, 0)
     excess = losses - losses[:, [int(np.nanargmin(mean))]]
     errors = excess.std(axis=0, ddof=1) / math.sqrt(FOLDS)
     chosen = int(np.flatnonzero(excess.mean(axis=0) <= errors)[0])
-    return PenaltyChoice("cross-validation", fractions, mean, chosen, errors)
+    return PenaltyChoice("cross-validation", mean, chosen, errors)

@@ -86,8 +86,8 @@ class RegressionProblem(Brief):
     the group of each column, 0, 1, 2, ... without a gap; ``group_scales`` (g,) gives each group's
     scale, where it has one. `from_arrays` makes all of this from any arrays and labels.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
-    the m original ones. ``subgroups`` (k,): numbers, from 0, of smaller groups that each lie within
-    one group, such as the waves of a ring, for penalties of both; None where there are none.
+    the m original ones, none of which can be taken alone. ``subgroups`` (k,): numbers, from 0, of
+    smaller groups that each lie within one group, such as the waves of a ring; None without any.
     ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
     ``adjusted``: weights of the samples and an intercept, which the target here has off already.
     ``partial``: the rows are some of a problem's, such as those outside of a fold, and may leave a
@@ -142,19 +142,17 @@ class RegressionProblem(Brief):
         """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
 
         theta may be sparse (scipy), a memory map, a distributed array, a DataFrame, whose names
-        are kept, or anything with a shape whose rows can be sliced. Arrays that are float64 in C or
-        Fortran order are not copied but read where they are: leave them unchanged while the problem
-        is in use, or hand in copies. The problem's own are read-only. `fit` and `path` refuse an
-        array in memory that was changed in place, by a digest of 512 of its entries; of files and
-        distributed arrays no change is noticed.
+        are kept, or anything with a shape whose rows can be sliced. Arrays of float64 in C or
+        Fortran order are read where they are: leave them unchanged while the problem is in use.
+        `fit` and `path` refuse an array in memory that was changed in place, by a digest of 512 of
+        its entries; of files and distributed arrays no change is noticed.
 
-        ``groups``: k labels (of any kind that sorts), equal for the columns of one group; without
-        them every column is a group of its own. ``subgroups``: k labels of smaller groups within
-        these. ``sample_weight`` (m,) >= 0 weighs the squares, whatever their sum; ``intercept``
-        projects an unpenalised constant column out. ``partial``: the rows are some of a problem's.
-        Raises InputError on shapes that do not match, subgroups that span groups, values that are
-        not finite, masked arrays and, but where ``partial``, columns of zeros (or constant ones
-        beside an intercept).
+        ``groups``: k labels that sort, equal for the columns of one group; without them every
+        column is one. ``subgroups``: k labels of smaller groups within these. ``sample_weight``
+        (m,) >= 0 weighs the squares, whatever their sum; ``intercept`` projects an unpenalised
+        constant column out. Raises InputError on shapes that do not match, subgroups that span
+        groups, values that are not finite, masked arrays and, but where ``partial``, columns of
+        zeros (or constant ones beside an intercept).
         """
         source, values = _source(theta), _matrix(target, "target")
         columns, inner = int(source.shape[1]), None
@@ -203,11 +201,9 @@ class RegressionProblem(Brief):
         if self.adjusted is None and self.design.in_memory:
             rows: Array = self.theta
             return rows
-        raise InputError(
-            f"this needs theta as one array in memory, and the design is {self.design.kind}, "
-            "weighted or centred: use lasso, group-lasso or another penalised back-end, or hand in "
-            "the array"
-        )
+        words = f"this needs theta as one array in memory, and it is {self.design.kind}, weighted"
+        words += " or centred: use lasso or another penalised back-end, or hand in the array"
+        raise InputError(words)
 
     @property
     def raw_target(self) -> Array:
@@ -256,11 +252,6 @@ class RegressionProblem(Brief):
     def samples(self) -> int:
         """Number of samples m."""
         return self.sample_count or int(self.theta.shape[0])
-
-    @property
-    def is_compressed(self) -> bool:
-        """Whether the rows mix samples, so that none can be taken alone."""
-        return self.sample_count is not None
 
     @property
     def columns(self) -> int:

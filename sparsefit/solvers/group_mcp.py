@@ -18,13 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.regression.backend import (
-    AlphaFraction,
-    Checked,
-    Solution,
-    numeric_fraction,
-    setting,
-)
+from sparsefit.regression.backend import AlphaFraction, Checked, Solution, numeric_fraction, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.penalties import alpha_max
@@ -113,13 +107,10 @@ def _weighted(problem: RegressionProblem, slopes: Array, alpha: float) -> Array:
     square = float(statistics.target_square.sum() - np.sum(load**2))
     values = np.zeros(cross.shape)
     if len(bound) and square > 0.0 and alpha > 0.0:
-        path = path_on_gram(
-            gram[np.ix_(bound, bound)] - shared.T @ shared,
-            cross[bound] - shared.T @ load,
-            GroupNorms(np.unique(groups[bound], return_inverse=True)[1], slopes[slopes > 0.0]),
-            np.array([alpha]),
-            square,
-        )
+        rest = gram[np.ix_(bound, bound)] - shared.T @ shared, cross[bound] - shared.T @ load
+        numbers = np.unique(groups[bound], return_inverse=True)[1]
+        penalty = GroupNorms(numbers, slopes[slopes > 0.0])
+        path = path_on_gram(*rest, penalty, np.array([alpha]), square)
         values[bound] = path.values[0]
     values[loose] = half @ (load - shared @ values[bound])
     return values
