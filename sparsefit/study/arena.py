@@ -16,6 +16,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from sparsefit.study.data_sets import Data
 from sparsefit.study.holdout import FOLDS, cross_validated, missed, recovered, support
 from sparsefit.study.keys import Clock
 from sparsefit.study.plan import Asking
-from sparsefit.study.problem_desk import own_fraction
+from sparsefit.study.problem_desk import own_fraction, write_data
 from sparsefit.study.worker import Answer, Ask
 
 JUDGE = "judge"
@@ -90,20 +91,6 @@ class Over(Exception):  # noqa: N818 - it ends a case, and is no error of ours
 
 
 @dataclass
-class Crew:
-    """The history of each process: contenders, and its own time per ask [s].
-
-    lost: how contenders ended whose first call was lost, which are not tried again; first: seconds
-    [s] of the first calls.
-    """
-
-    met: dict[str, set[int]] = field(default_factory=dict)
-    overhead: dict[str, float] = field(default_factory=dict)
-    lost: dict[int, tuple[str, str]] = field(default_factory=dict)
-    first: dict[int, float] = field(default_factory=dict)
-
-
-@dataclass
 class Case:
     """A case while it is computed: its contender and tolerance, its times and its columns.
 
@@ -134,18 +121,30 @@ def size_of(data: Data) -> dict[str, Value]:
     return {**sizes, "targets": data.target.shape[1]}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Arena:
-    """Cases of one problem, whose arrays lie in a file, and the processes that solve them."""
+    """The processes that solve one problem after the other, and what each of them has met.
+
+    home: where the arrays of problems lie; met: the contenders of each process; overhead: its own
+    time per ask [s]; lost: how contenders ended whose first call was lost, which are not tried
+    again; first: seconds [s] of the first calls; unit, data, file: the problem at work.
+    """
 
     design: ProblemDesign
-    unit: int
-    data: Data
-    file: Path
-    crew: Crew
+    home: TemporaryDirectory[str] = field(default_factory=TemporaryDirectory)
+    met: dict[str, set[int]] = field(default_factory=dict)
+    overhead: dict[str, float] = field(default_factory=dict)
+    lost: dict[int, tuple[str, str]] = field(default_factory=dict)
+    first: dict[int, float] = field(default_factory=dict)
+    unit: int = field(init=False)
+    data: Data = field(init=False)
+    file: Path = field(init=False)
 
-    def run(self, cells: Sequence[int]) -> Asking[None]:
+    def run(self, unit: int, data: Data, cells: Sequence[int]) -> Asking[None]:
         """Judge each case, time all by turns until their medians are known, then hold rows out."""
+        self.unit, self.data, self.file = unit, data, Path(self.home.name) / f"{unit}.npz"
+        if not self.file.exists():
+            write_data(data, self.file)
         cases, clock, turn = [self._case(cell) for cell in cells], self.design.clock, 0
         for case in cases:
             yield from self._tried(case, self._begin(case, cases))
@@ -224,36 +223,36 @@ class Arena:
         if case.weights is None:
             memory = _number(answer.content, "memory") - _number(ready.content, "memory")
             case.values |= {"memory": memory if memory > 0.0 else 0.0 * memory, "word": words}
-        wall = max(answer.wall - self.crew.overhead.get(case.desk, 0.0), 1e-9)
+        wall = max(answer.wall - self.overhead.get(case.desk, 0.0), 1e-9)
         # A command is charged for neither its start nor its files.
         wall, cpu = answer.content.get("clock") or (wall, answer.cpu)
         return weights, wall, cpu
 
     def _meet(self, case: Case) -> Asking[None]:
         """The clock's own time of a process, and a first call on a small problem."""
-        crew, desk = self.crew, case.desk
-        if case.number in crew.lost:
-            raise Over(*crew.lost[case.number])
-        if desk not in crew.overhead:
+        desk = case.desk
+        if case.number in self.lost:
+            raise Over(*self.lost[case.number])
+        if desk not in self.overhead:
             walls = []
             for _ in range(9):
                 answer = yield from self._ask(case, "nothing", {}, READY_SECONDS, timed=True)
                 walls.append(answer.wall)
-            crew.overhead[desk] = float(np.median(walls))
-        if case.number in crew.met.setdefault(desk, set()):
+            self.overhead[desk] = float(np.median(walls))
+        if case.number in self.met.setdefault(desk, set()):
             return
         yield from self._ask(case, "ready", {}, READY_SECONDS)
         try:
             words, both = "its first call", small_problem().targets
             limit = max(case.contender.first, case.contender.killed(both))
             first = yield from self._ask(case, "first", {}, limit, timed=True, words=words)
-            crew.first.setdefault(case.number, first.wall)
+            self.first.setdefault(case.number, first.wall)
         except Over as over:
             if over.args[0] != "error":
-                crew.lost[case.number] = over.args[0], over.args[1]
+                self.lost[case.number] = over.args[0], over.args[1]
                 raise
             # One that raises on the small problem may still solve the others.
-        crew.met[desk].add(case.number)
+        self.met[desk].add(case.number)
 
     def _ask(
         self,
@@ -273,8 +272,8 @@ class Arena:
         answer = yield Ask(verb, content, limit, desk, timed)
         assert answer is not None
         if answer.lost:
-            self.crew.met.pop(desk, None)
-            self.crew.overhead.pop(desk, None)
+            self.met.pop(desk, None)
+            self.overhead.pop(desk, None)
         if answer.status != "ok":
             raise Over(answer.status, answer.words(words)[:MAX_REASON])
         if "late" in answer.content:
@@ -346,7 +345,7 @@ class Arena:
             **case.repeats.columns(self.design.clock),
             **case.values,
             "points": case.points,
-            "first": self.crew.first.get(case.number, math.nan),
+            "first": self.first.get(case.number, math.nan),
         }
         return Outcome(self.unit, case.cell, status, reason[:MAX_REASON], values)
 

@@ -35,10 +35,6 @@ class Kind:
     types: tuple[type, ...]
     dense: bool = False
 
-    def of(self, value: Value | None) -> Value:
-        """The value as this kind; the empty one in place of None."""
-        return self.empty if value is None else self.cast(value)
-
 
 TEXT = Kind("string", str, "", (str,))
 FLAG = Kind("bool", bool, False, (bool,))
@@ -64,7 +60,7 @@ class Column:
                 value = value.get(name)
             elif value is not None:
                 value = value[int(name)] if name.isdigit() else getattr(value, name)
-        return None if value is None or value == "" else self.kind.of(value)
+        return None if value is None or value == "" else self.kind.cast(value)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@ charged for all that `sparsefit.path` does. `kind = "problems"` judges each by h
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -186,9 +185,8 @@ class ProblemDesign:
         content = []
         for number, tolerance in self.cells:
             c = self.contenders[number]
-            code = ""
-            if c.recipe is not None and Path(c.recipe.file).is_file():
-                code = hashlib.sha256(Path(c.recipe.file).read_bytes()).hexdigest()
+            file = Path(c.recipe.file) if c.recipe is not None else Path()
+            code = digest_of(file) if file.is_file() else ""
             own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
             if c.recipe is not None and c.recipe.start != SolverKeys.start:
                 own.append(c.recipe.start)
@@ -267,7 +265,8 @@ def _read_problem(
         made = [(partial(read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":
         rules = record_of(Generator, {**GENERATORS[str(keys.generator)], **rest}, place)
-        made = [(partial(_drawn, rules, seed, number), [keys.generator, asdict(rules), number])
+        made = [(partial(drawn, rules, stream(seed, number, 301)),
+                 [keys.generator, asdict(rules), number])
                 for number in range(keys.count)]  # fmt: skip
     else:
         if not keys.name:
@@ -294,10 +293,6 @@ def _flown(setup: Setup, flight: int, count: int, seed: int) -> Data:
     blind = [replace(flown, flow=None) for flown in fleet]
     problem = Estimator(setup.derivative, setup.library).prepare(blind).problem
     return Data(problem.theta, problem.target, problem.groups, samples=problem.sample_count)
-
-
-def _drawn(rules: Generator, seed: int, number: int) -> Data:
-    return drawn(rules, np.random.default_rng(stream(seed, number, 301)))
 
 
 def _read_contenders(

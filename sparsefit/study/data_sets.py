@@ -37,7 +37,6 @@ from sparsefit.errors import InputError, MissingExtra, one_of
 from sparsefit.study.keys import MOST_VALUES, DataSet, Generator
 
 MOST_BYTES = 1 << 30  # of a file
-CLASSIFIED = ("digits", "iris", "wine", "breast-cancer")
 DATASETS: tuple[str, ...] = get_args(DataSet)
 GENERATORS: dict[str, dict[str, Any]] = {  # the settings that a name stands for
     "correlated": {"correlation": 0.8},
@@ -156,7 +155,7 @@ def read_public(name: str) -> Data:
         raise MissingExtra(f'data set "{name}" ships with scikit-learn: {remedy}') from None
     load = getattr(datasets, f"load_{name.removesuffix('-quadratic').replace('-', '_')}")
     theta, target = (np.asarray(part, float) for part in load(return_X_y=True))
-    if name in CLASSIFIED:
+    if name in ("digits", "iris", "wine", "breast-cancer"):
         classes = np.unique(target)
         target = (target[:, None] == classes[len(classes) == 2 :]).astype(float)
     theta, target = theta - theta.mean(axis=0), target - target.mean(axis=0)
@@ -172,8 +171,9 @@ def read_public(name: str) -> Data:
     return Data(columns / columns.std(axis=0), target, np.array(groups))
 
 
-def drawn(rules: Generator, random: np.random.Generator) -> Data:
-    """A problem y = Z w + noise with its truth, equal for equal random numbers."""
+def drawn(rules: Generator, seed: np.random.SeedSequence) -> Data:
+    """A problem y = Z w + noise with its truth, equal for equal seeds."""
+    random = np.random.default_rng(seed)
     m, k, rho = rules.samples, rules.columns, rules.correlation
     theta: Any
     if rules.density < 1.0:  # normal entries at random rows, at least one in each column

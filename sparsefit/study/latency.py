@@ -19,10 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
+import sparsefit
 from sparsefit.codec import finite_or_none
 from sparsefit.study.definition import Definition
 from sparsefit.study.flight_desk import FlightDesk
-from sparsefit.study.manifest import processor, read_record, sparsefit_version
+from sparsefit.study.manifest import processor, read_record
 from sparsefit.study.worker import Answer, Ask, Worker, memory_limit
 from sparsefit.whole_file import write_whole
 
@@ -102,7 +103,7 @@ def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latenc
     candidates = {name: asdict(latency) for name, latency in measured.items()}
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
     machine = {"processor": processor(), "system": platform.platform(), "load": load}
-    machine |= {"sparsefit": sparsefit_version()}
+    machine |= {"sparsefit": sparsefit.__version__}
     content = {"study_hash": study_hash, "machine": machine, "candidates": candidates}
     write_whole(folder / LATENCY, json.dumps(finite_or_none(content), indent=2) + "\n")
 
@@ -118,4 +119,4 @@ def read_latencies(study_hash: str, folder: Path) -> dict[str, Latency]:
             stored[name] = Latency(flights=flights, **numbers)
     except (AttributeError, ValueError, KeyError, TypeError, OverflowError):
         return {}
-    return stored if made == (study_hash, sparsefit_version()) else {}
+    return stored if made == (study_hash, sparsefit.__version__) else {}

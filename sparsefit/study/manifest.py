@@ -28,7 +28,6 @@ from sparsefit.whole_file import write_whole
 
 MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
-PACKAGES = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
 # Rooms that no case is computed by: they show what others computed.
 SHOWING = ("cli", "plot", "sklearn", "pysindy", "__main__.py", "sklearn.py", "pysindy.py")
 # Files of `study/` that a worker, its questions or its answers pass through, with all they import.
@@ -135,12 +134,8 @@ def _sha256(path: Path) -> str:
 def versions() -> dict[str, str | None]:
     """Versions of sparsefit, Python and what computes; None for what is not installed."""
     own = {"sparsefit": sparsefit.__version__, "python": platform.python_version()}
-    return own | {name: version_of(name) for name in PACKAGES}
-
-
-def sparsefit_version() -> str:
-    """The version of the package that runs."""
-    return sparsefit.__version__
+    packages = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
+    return own | {name: version_of(name) for name in packages}
 
 
 def version_of(name: str) -> str | None:

@@ -23,8 +23,6 @@ from sparsefit.study.plan import Plan
 from sparsefit.study.runner import locked, run
 from sparsefit.study.store import STORE, Store
 
-ALIKE = 1e-6  # relative: by which another machine's rounding may differ
-
 
 @dataclass(frozen=True)
 class MergedPart:
@@ -94,7 +92,8 @@ def _check_alike(plan: Plan, *sides: tuple[Path, Row]) -> None:
     names = plan.experiment.judged
     numbers = np.array([[float(body.get(name, math.nan)) for name in names] for body in bodies])
     same = sides[0][1].status == sides[1][1].status
-    if same and np.allclose(numbers[0], numbers[1], ALIKE, 0.0, equal_nan=True):
+    # Rounding may differ on another machine.
+    if same and np.allclose(numbers[0], numbers[1], 1e-6, 0.0, equal_nan=True):
         return
     words = " and ".join(
         f"{folder} ({row.status} {' '.join(f'{value:.7g}' for value in values)})"

@@ -17,7 +17,6 @@ from sparsefit.study.plan import Asking, Batch, Experiment
 from sparsefit.study.worker import Answer, Ask, Worker, memory_limit, wait_for
 
 TICK = 0.5  # seconds between looks at the clock, at most
-STARTS = 5  # workers in a row that may end while they start: memory may be free again later
 
 
 # Ours, as pebble times and blames whole tasks: cases that share a flight, a library and a path
@@ -50,7 +49,7 @@ def outcomes(
                 if (answer := worker.receive()) is None:
                     continue
                 lost = 0 if answer.started else lost + 1
-                if lost >= STARTS:
+                if lost >= 5:  # at fewer, memory may be free again later
                     raise SparsefitError(
                         f"{lost} worker processes in a row ended while they started "
                         f"({answer.reason}): free memory, or take fewer --processes"

@@ -45,7 +45,6 @@ from sparsefit.study.data_sets import Data
 from sparsefit.study.worker import resident
 
 SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
-RANK = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
 
 
 def write_data(data: Data, file: Path) -> None:
@@ -198,7 +197,8 @@ class SolverDesk:
         for into, solution in zip(self._into, solutions, strict=False):
             if solution.status != "error" and solution.weights is not None:
                 into[...] = np.asarray(solution.weights, float)
-        worst = max(solutions, key=lambda each: RANK.get(each.status, 3), default=None)
+        rank = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
+        worst = max(solutions, key=lambda each: rank.get(each.status, 3), default=None)
         words = f"{worst.solver_status} {worst.reason}" if worst else "no answer"
         clock = worst.clock if worst else None
         return {"words": one_line(words, 200), "memory": resident(), "clock": clock}

@@ -9,31 +9,25 @@ until the median is known; every timed repeat returns its answer, and each is ju
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
-from sparsefit.study.arena import JUDGE, Arena, Crew, size_of
+from sparsefit.study.arena import JUDGE, Arena, size_of
 from sparsefit.study.columns import PROBLEM_COLUMNS
 from sparsefit.study.contenders import Contender, ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.manifest import code_version, processor, version_of, versions
 from sparsefit.study.plan import Asking, Batch, Experiment
-from sparsefit.study.problem_desk import JudgeDesk, SolverDesk, write_data
+from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 
 ON = " on "  # between the code and the machine
-PEERS = (
-    *("scikit-learn", "celer", "skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp"),
-    *("daqp", "pysindy", "numba"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,31 +132,25 @@ class ProblemExperiment(Experiment):
                     yield Batch(unit, tuple(mine))
 
     def run(self, batch: Batch) -> Asking[None]:
-        data, file = self._data[batch.unit], Path(self._home.name) / f"{batch.unit}.npz"
-        if not file.exists():
-            write_data(data, file)
-        yield from Arena(self.design, batch.unit, data, file, self._crew).run(batch.cells)
+        return self._arena.run(batch.unit, self._data[batch.unit], batch.cells)
 
     def end(self) -> None:
-        """Remove the arrays in files, and forget what processes knew that have ended."""
-        if "_home" in self.__dict__:
-            self._home.cleanup()
-        for name in ("_home", "_crew"):
-            self.__dict__.pop(name, None)
+        if "_arena" in self.__dict__:
+            self.__dict__.pop("_arena").home.cleanup()
 
     @cached_property
-    def _home(self) -> tempfile.TemporaryDirectory[str]:
-        return tempfile.TemporaryDirectory(prefix="sparsefit-study-")
-
-    @cached_property
-    def _crew(self) -> Crew:
-        return Crew()
+    def _arena(self) -> Arena:
+        return Arena(self.design)
 
 
 def timed_on() -> dict[str, object]:
     """On what the times of one comparison are taken."""
-    peers = {name: version_of(name) for name in PEERS}
-    return {"processor": processor(), "processors": os.cpu_count(), "versions": versions() | peers}
+    peers = (
+        *("scikit-learn", "celer", "skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp"),
+        *("daqp", "pysindy", "numba"),
+    )
+    every = versions() | {name: version_of(name) for name in peers}
+    return {"processor": processor(), "processors": os.cpu_count(), "versions": every}
 
 
 def _title(contender: Contender, stop: float, several: bool, apart: bool) -> str:

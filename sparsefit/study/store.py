@@ -32,8 +32,6 @@ from sparsefit.whole_file import refusing
 STORE = "cases.sqlite"
 SCHEMA = """CREATE TABLE IF NOT EXISTS cases (key TEXT PRIMARY KEY, status TEXT NOT NULL,
 reason TEXT NOT NULL, version TEXT NOT NULL, body TEXT NOT NULL, crc INTEGER NOT NULL)"""
-PUT = "INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?, ?)"
-SELECT = "SELECT key, status, reason, version, body, crc FROM cases"
 REMEDIES = {  # by what SQLite says
     **dict.fromkeys(("full", "I/O"), "make room, and run it again"),
     **dict.fromkeys(("readonly", "unable to open"), "check the folder's permissions"),
@@ -162,7 +160,8 @@ class Store:
             raise InputError(f"{path}: was removed during the run: run it again")
         assert self.base is not None
         with _telling(path), self.base:
-            self.base.executemany(PUT, [(*row, row.crc) for row in self.pending])
+            rows = [(*row, row.crc) for row in self.pending]
+            self.base.executemany("INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?, ?)", rows)
         self.pending, self.synced = [], time.monotonic()
 
     def rows(self) -> Iterator[Row]:
@@ -185,7 +184,8 @@ class Store:
             base = base or sqlite3.connect(uri, uri=True, timeout=10.0)
             base.text_factory = lambda text: text.decode(errors="replace")  # of a damaged row
             try:
-                for *content, crc in base.execute(SELECT):
+                every = base.execute("SELECT key, status, reason, version, body, crc FROM cases")
+                for *content, crc in every:
                     row = Row(*content) if all(isinstance(p, str) for p in content) else None
                     yield row if row is not None and row.crc == crc else None
             except sqlite3.OperationalError as error:

@@ -292,8 +292,7 @@ def test_every_data_set_is_a_problem(name):
 @pytest.mark.parametrize("settings", [{"correlation": 0.8}, {"density": 0.05}, {"group": 5}])
 def test_generators_know_their_truth(settings):
     rules = Generator(samples=400, columns=50, support=3, snr=9.0, **settings)
-    data = drawn(rules, np.random.default_rng(1))
-    again = drawn(rules, np.random.default_rng(1))
+    data, again = (drawn(rules, np.random.SeedSequence(1)) for _ in range(2))
     theta = data.theta.toarray() if "density" in settings else data.theta
     assert abs(data.theta - again.theta).max() == 0.0
     assert data.truth.sum() == 3 * settings.get("group", 1)
