@@ -24,12 +24,12 @@ import numpy as np
 from sparsefit import backends
 from sparsefit.arrays import Array
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
-from sparsefit.study.contenders import ACCURACIES, Contender, ProblemDesign, small_problem
+from sparsefit.study.contenders import ACCURACIES, ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.holdout import FOLDS, cross_validated, missed, recovered, support
 from sparsefit.study.keys import Clock
 from sparsefit.study.plan import Asking
-from sparsefit.study.problem_desk import own_fraction, write_data
+from sparsefit.study.problem_desk import Contender, own_fraction, small_problem, write_data
 from sparsefit.study.worker import Answer, Ask
 
 JUDGE = "judge"

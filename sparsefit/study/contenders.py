@@ -30,7 +30,6 @@ from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
 from sparsefit.study.crossing import (
-    Setting,
     Setup,
     of_others,
     points_of,
@@ -58,6 +57,7 @@ from sparsefit.study.keys import (
     ProblemRules,
     SolverKeys,
 )
+from sparsefit.study.problem_desk import FIRST_SECONDS, Contender, small_problem
 from sparsefit.study.schema import (
     distinct,
     entries,
@@ -71,7 +71,6 @@ from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
 OURS = "sparsefit"
-FIRST_SECONDS = 120.0  # of a first call that may compile, where its code ships
 ACCURACIES = (1e-4, 1e-6, 1e-8)  # certified, at which success and time are counted
 MOST_CASES = 20_000
 KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, `name` and `alter`
@@ -116,46 +115,6 @@ class ProblemSource:
         except InputError as error:
             raise InputError(f"problem {self.name!r}: {error}") from None
         return data
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Contender:
-    """A solver of an objective: a back-end with its settings, and who solves it.
-
-    tolerances: where it is asked to stop, loosest first, NaN where it has none to set; missing: why
-    it cannot run here, empty where it can; family: what shares a process with it; certified:
-    whether checks of the data and certificates are in its time; limit: seconds [s] of a solve;
-    first: of a first call; recipe: the solver, None for the back-end's own.
-    """
-
-    objective: str
-    backend: str
-    settings: Mapping[str, Setting]
-    solver: str
-    tolerances: tuple[float, ...]
-    missing: str
-    family: str
-    certified: bool
-    limit: float
-    first: float
-    recipe: Recipe | None
-
-    def killed(self, targets: int) -> float:
-        """Seconds [s] after which a solve is killed: a command keeps its limits itself."""
-        if self.recipe is None or not self.recipe.command:
-            return self.limit
-        return self.limit + targets * self.recipe.start + FIRST_SECONDS
-
-    @property
-    def problem_of(self) -> str:
-        """The objective that it minimises, as canonical JSON."""
-        return canonical_json([self.backend, dict(self.settings)])
-
-    @property
-    def content(self) -> str:
-        """All its settings, of the back-end and of the solver, as canonical JSON."""
-        own = {"solver": self.recipe.name, **self.recipe.settings} if self.recipe else {}
-        return canonical_json({**self.settings, **own})
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,11 +382,3 @@ def about_contenders(
         except (SparsefitError, TypeError, ValueError) as error:
             about["refused"] = str(error)
     return content
-
-
-def small_problem() -> RegressionProblem:
-    """Twelve columns in groups of three, two targets: the problem of a first call."""
-    draw = np.random.default_rng(0)
-    theta = draw.standard_normal((40, 12))
-    target = theta[:, :2] @ draw.standard_normal((2, 2)) + 0.1 * draw.standard_normal((40, 2))
-    return RegressionProblem.from_arrays(theta, target, np.arange(12) // 3)

@@ -24,6 +24,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,12 +40,53 @@ from sparsefit.regression.backend import PathBackend, PenalisedBackend, numeric_
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
-from sparsefit.solvers.registry import Late, answers
-from sparsefit.study.contenders import Contender, ProblemDesign, small_problem
+from sparsefit.solvers.registry import Late, Recipe, answers
 from sparsefit.study.data_sets import Data
+from sparsefit.study.toml_file import canonical_json
 from sparsefit.study.worker import resident
 
+FIRST_SECONDS = 120.0  # of a first call that may compile, where its code ships
 SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Contender:
+    """A solver of an objective: a back-end with its settings, and who solves it.
+
+    tolerances: where it is asked to stop, loosest first, NaN where it has none to set; missing: why
+    it cannot run here, empty where it can; family: what shares a process with it; certified:
+    whether checks of the data and certificates are in its time; limit: seconds [s] of a solve;
+    first: of a first call; recipe: the solver, None for the back-end's own.
+    """
+
+    objective: str
+    backend: str
+    settings: Mapping[str, float | int | str | bool]
+    solver: str
+    tolerances: tuple[float, ...]
+    missing: str
+    family: str
+    certified: bool
+    limit: float
+    first: float
+    recipe: Recipe | None
+
+    def killed(self, targets: int) -> float:
+        """Seconds [s] after which a solve is killed: a command keeps its limits itself."""
+        if self.recipe is None or not self.recipe.command:
+            return self.limit
+        return self.limit + targets * self.recipe.start + FIRST_SECONDS
+
+    @property
+    def problem_of(self) -> str:
+        """The objective that it minimises, as canonical JSON."""
+        return canonical_json([self.backend, dict(self.settings)])
+
+    @property
+    def content(self) -> str:
+        """All its settings, of the back-end and of the solver, as canonical JSON."""
+        own = {"solver": self.recipe.name, **self.recipe.settings} if self.recipe else {}
+        return canonical_json({**self.settings, **own})
 
 
 def write_data(data: Data, file: Path) -> None:
@@ -132,11 +174,19 @@ def own_fraction(backend: Any) -> tuple[float, ...]:
     return ()
 
 
-class SolverDesk:
-    """Solves for the contenders of one family, one call at a time."""
+def small_problem() -> RegressionProblem:
+    """Twelve columns in groups of three, two targets: the problem of a first call."""
+    draw = np.random.default_rng(0)
+    theta = draw.standard_normal((40, 12))
+    target = theta[:, :2] @ draw.standard_normal((2, 2)) + 0.1 * draw.standard_normal((40, 2))
+    return RegressionProblem.from_arrays(theta, target, np.arange(12) // 3)
 
-    def __init__(self, design: ProblemDesign) -> None:
-        self._design = design
+
+class SolverDesk:
+    """Solves for the contenders of one family, one call at a time, a path or a single fit each."""
+
+    def __init__(self, contenders: Sequence[Contender], fractions: Sequence[float]) -> None:
+        self._contenders, self._fractions = contenders, fractions
         self._data: tuple[str, Data] | None = None
         self._work: tuple[Any, ...] = ()
         self._into: Any = None
@@ -161,10 +211,10 @@ class SolverDesk:
             small = small_problem()
             rows = read_rows(file) if file else Data(small.theta, small.target, small.groups)
             self._data = (file, rows)
-        chosen = self._design.contenders[contender]
+        chosen = self._contenders[contender]
         part = part_of(self._data[1], without, seed)
         problem = problem_of(part, partial=without is not None)
-        self._work = (chosen, problem, self._design.fractions, tolerance)
+        self._work = (chosen, problem, self._fractions, tolerance)
         self._into = np.lib.format.open_memmap(weights, mode="r+") if weights else None
         memory = _peak_from_here()
         gc.collect()
@@ -207,8 +257,8 @@ class SolverDesk:
 class JudgeDesk:
     """Judges answers from the rows of a problem, in a process that no solver shares."""
 
-    def __init__(self, design: ProblemDesign) -> None:
-        self._design = design
+    def __init__(self, contenders: Sequence[Contender], fractions: Sequence[float]) -> None:
+        self._contenders, self._fractions = contenders, fractions
         self._file = ""
         self._problem: RegressionProblem | None = None
         self._bounds: dict[str, Array] = {}
@@ -218,7 +268,7 @@ class JudgeDesk:
         if file != self._file:
             self._file, self._problem, self._bounds = file, problem_of(read_rows(file)), {}
         kind, gap, excess = self._judged(
-            self._design.contenders[contender], np.load(weights, allow_pickle=False)
+            self._contenders[contender], np.load(weights, allow_pickle=False)
         )
         return {"kind": kind, "gap": gap, "excess": excess}
 
@@ -234,7 +284,7 @@ class JudgeDesk:
             values = [math.nan if c is None else c.value for c in certificates]
             worst = max(math.inf if math.isnan(value) else value for value in values)
             return kind, worst, worst
-        fractions = self._design.fractions or own_fraction(backend)
+        fractions = self._fractions or own_fraction(backend)
         statistics, penalty = problem.statistics, backend.penalty(problem)
         alphas = problem.alpha_max(penalty) * np.array(fractions)
         gaps = duality_gaps(problem.design, problem.target, weights, alphas, penalty)

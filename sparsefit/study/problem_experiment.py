@@ -20,11 +20,11 @@ from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.study.arena import JUDGE, Arena, size_of
 from sparsefit.study.columns import PROBLEM_COLUMNS
-from sparsefit.study.contenders import Contender, ProblemDesign
+from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.manifest import code_version, processor, version_of, versions
 from sparsefit.study.plan import Asking, Batch, Experiment
-from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
+from sparsefit.study.problem_desk import Contender, JudgeDesk, SolverDesk
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 
 ON = " on "  # between the code and the machine
@@ -121,7 +121,8 @@ class ProblemExperiment(Experiment):
 
     def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
         """A process for each family of solvers, and one for the judge."""
-        return (JudgeDesk if name == JUDGE else SolverDesk), (self.design,)
+        arguments = (self.design.contenders, self.design.fractions)
+        return (JudgeDesk if name == JUDGE else SolverDesk), arguments
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """All cases of one problem and one objective, which take turns."""
