@@ -176,9 +176,9 @@ class Measured:
         constancy = (
             Constancy.of(float(growth.step[0]), float(growth.error[0]), speed) if growth else None
         )
-        if "growth" in posterior.names:
-            change = posterior.value("growth"), posterior.error("growth")
-            constancy = Constancy.of(*change, speed)
+        freer = self.diagnosis.posterior
+        if "growth" in freer.names:
+            constancy = Constancy.of(freer.value("growth"), freer.error("growth"), speed)
         parts |= {
             "scales": tuple(scales) if several or len(scales) > 1 else (),
             "shape": pattern.shape,

@@ -194,14 +194,15 @@ def diagnose(
     believed = believed if suspects else posterior
     if posterior is not start:
         gains = gains_of(posterior, {"growth": ("growth",)})
-    growth, shares = gains.get(("growth", 0)), _ambiguity(posterior, rivals) if suspects else (0, 0)
-    if posterior is start:  # gains are those of the last round, in which nothing was found
+    growth = gains.get(("growth", 0))
+    shares = _ambiguity(posterior, believed, rivals) if suspects else (0.0, 0.0)
+    walks = [own.name for own in posterior.model.disturbance.processes]
+    if posterior is start and not walks:  # gains of the last round, in which nothing was found
         hints = [
             own.moves for own in gains.values()
             if FALSE_ALARM <= tests * chance_of(own.gain, len(own.step)) < HINT
         ]  # fmt: skip
         shares = tuple(np.max([shares, *np.abs(hints).tolist()], axis=0).tolist())
-    walks = [own.name for own in posterior.model.disturbance.processes]
     if "turbulence" in walks and not suspects and "turbulence" not in freed:
         suspects = _another_law(posterior)
     return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
@@ -217,19 +218,27 @@ def _releveled(start: Posterior, gain: float) -> float:
 
 
 def _ambiguity(
-    posterior: Posterior, rivals: Sequence[tuple[Posterior, Posterior]]
+    posterior: Posterior, believed: Posterior, rivals: Sequence[tuple[Posterior, Posterior]]
 ) -> tuple[float, float]:
-    """The shares by which causes that are not told apart differ in U0 and L.
+    """The shares by which U0 and L differ between causes that are not told apart.
 
     Process noise that remains beside a cause is a misfit that no cause explains: likelihoods that
-    differ by less than it gains say nothing of which cause is right.
+    differ by less than it gains say nothing of which cause is right. The model has a lag l to first
+    order in l/tau: the next term moves a flow by that share of its first move.
     """
-    unexplained, shares = max(posterior.evidence, CHANCE), [(0.0, 0.0)]
-    for best, other in rivals:
-        if other.log_likelihood > best.log_likelihood - unexplained:
-            here, there = best.model.pattern, other.model.pattern
-            speeds = there.mean_velocity / here.mean_velocity
-            shares.append((abs(speeds - 1), abs(there.length_scale / here.length_scale - 1)))
+    unexplained = max(posterior.evidence, CHANCE)
+    alike = [
+        (best, other, 1.0)
+        for best, other in rivals
+        if other.log_likelihood > best.log_likelihood - unexplained
+    ]
+    second = abs(posterior.value("lag") / posterior.value("response_time"))
+    shares = [(0.0, 0.0)]
+    for best, other, share in (*alike, (posterior, believed, second)):
+        here, there = best.model.pattern, other.model.pattern
+        speeds = there.mean_velocity / here.mean_velocity
+        lengths = there.length_scale / here.length_scale
+        shares.append((share * abs(speeds - 1), share * abs(lengths - 1)))
     speed, length = np.max(shares, axis=0).tolist()
     return speed, length
 

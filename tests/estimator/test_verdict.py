@@ -9,6 +9,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator import Doubt
+from tests.worlds import GROUPS, draw
 
 VEHICLE = sf.PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
@@ -189,3 +190,36 @@ def test_how_precise_an_answer_must_be_is_a_setting():
     assert asked[1e-4].mean_velocity == asked[0.03].mean_velocity
     with pytest.raises(InputError, match="readout: precision must be"):
         sf.Readout(precision=-0.1)
+
+
+class Growing:
+    """Cells whose mean velocity grows by 1 % in a second."""
+
+    period = 8.0
+
+    def velocity(self, x, y, t):
+        u, v = sf.CellularFlow(8.0, 4.0).velocity(x, y)
+        return (1.0 + 0.01 * (t - 7.5)) * u, (1.0 + 0.01 * (t - 7.5)) * v
+
+
+def test_a_mean_velocity_that_grows_is_a_misfit_with_its_rate():
+    vehicle = sf.PointMassVehicle(0.4, (5.0, 3.0))
+    noise = {"velocity_noise": 0.2, "position_noise": 0.05}
+    flight = sf.simulate_flight(
+        Growing(), vehicle, duration=15.0, sample_rate=40.0, seed=3, **noise
+    )
+    estimate = sf.Estimator().estimate(flight)
+    assert (estimate.status, estimate.goodness.suspect.cause) == ("misfit", "decay")
+    low, high = estimate.constancy.interval
+    assert 0.0 < low < 0.08 < high
+
+
+def test_a_lag_is_as_sure_as_its_first_order():
+    """One of 33 ms in a response time of 125 ms: by the noise alone U0 was known to 0.03 %."""
+    world = next(own for own in GROUPS["vehicle"] if own.name == "lag 0.03")
+    flight, truth = draw(world, 2, 61001)[1]
+    estimate = sf.Estimator(free="auto").estimate(flight)
+    assert estimate.freed == ("lag",)
+    low, high = estimate.uncertainty.mean_velocity_interval
+    assert low < truth.mean_velocity < high
+    assert high - low < 0.03 * truth.mean_velocity
