@@ -136,14 +136,16 @@ def doubts_of_flow(
                 )
             yield misfit(f"{MORE}{where}: {first.words}{remedy if name else ''}")
         wanders = [own.name for own in posterior.model.disturbance.processes]
-        unasked = [name for name in wanders if name in FREEDOMS and name not in free]
-        if free == "auto" and result.diagnosis.suspects and unasked:
-            names = ", ".join(own.free for own in result.diagnosis.suspects)
-            others = " and ".join(FREEDOMS[own].name.replace("-", " ") for own in unasked)
-            yield misfit(
-                f"{MORE} beside {names}: {others}; what is wrong may be none of these: correct the "
-                "vehicle or the log, or name what to free"
-            )
+        if free == "auto" and wanders:
+            asked = prepared.library.unknown
+            freed = [name for name in result.freed if name in FREEDOMS and name not in asked]
+            constants = ", ".join(name for name in freed if not FREEDOMS[name].wanders)
+            others = " and ".join(FREEDOMS[name].name.replace("-", " ") for name in wanders)
+            if constants:
+                yield misfit(
+                    f"{MORE} beside {constants}: {others}; what is wrong may be none of these: "
+                    "correct the vehicle or the log, or name what to free"
+                )
         shares = [own.r_squared for own in goodness.flights]
         if shares and min(shares) < 0.8 < max(shares):
             yield misfit(
