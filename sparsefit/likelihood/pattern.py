@@ -153,10 +153,9 @@ class StreamPattern:
         cos, sin = np.cos(shift), np.sin(shift)
         values = np.array(self.values)
         if self.shape in CELLS:
-            turned = np.array([values[self.names.index(name)] for name in ("phase_1", "phase_2")])
-            turned = np.angle(np.exp(1j * (turned + shift)))
             first = self.names.index("phase_1")
-            values[first : first + 2] = turned
+            phases = values[first : first + 2] + shift
+            values[first : first + 2] = np.angle(np.exp(1j * phases))
         else:
             bare = values[: 4 * len(a)].reshape(-1, 4)
             bare[:, 2], bare[:, 3] = a * cos + b * sin, b * cos - a * sin

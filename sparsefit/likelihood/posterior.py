@@ -254,11 +254,9 @@ class Posterior:
         regression = inverted(among)[0] @ across
         pairs = (score[~own] - regression.T @ score[own]).reshape(-1, 2)
         block = information[np.ix_(~own, ~own)] - across.T @ regression
-        shares = [
-            0.5 * float(pair @ np.linalg.solve(block[j : j + 2, j : j + 2], pair))
-            for j, pair in zip(range(0, len(block), 2), pairs, strict=True)
-        ]
-        return max(float(np.mean(shares)), 1.0)
+        two = np.arange(len(block)).reshape(-1, 2)
+        solved = np.linalg.solve(block[two[:, :, None], two[:, None]], pairs[..., None])[..., 0]
+        return max(0.5 * float(np.mean(np.sum(pairs * solved, axis=1))), 1.0)
 
     def scores(self, extra: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
         """Score (q,) and information (q, q) by the free parameters and others, and their names."""

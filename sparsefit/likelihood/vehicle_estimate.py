@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sparsefit.likelihood.causes import FREEDOMS
 from sparsefit.likelihood.goodness import Uncertainty
 
 if TYPE_CHECKING:
@@ -48,26 +49,18 @@ def vehicle_of(posterior: Posterior, believed: PointMassVehicle, flight: int = 0
     """
     elements, suffix = posterior.models[flight].values, f"@{flight + 1}" if flight else ""
     steady = not np.ptp(posterior.legs[flight].nodes.push, axis=0).any()
-    push = believed.thrust_acceleration if steady else (0.0, 0.0)  # it is in the log: see b
-    pairs = {"thrust_acceleration": ("thrust_bias", push), "wind": ("wind", (0.0, 0.0))}
-    values: dict[str, Any] = {}
-    errors: dict[str, Any] = {}
-    for name, own, factor in (
-        ("response_time", "response_time", 1.0),
-        ("thrust_scale", "thrust_scale", 1.0),
-        ("drag", "quadratic_drag", 1.0 / elements["response_time"]),
-    ):
-        if own in posterior.models[0].names:
-            values[name] = factor * elements[own]
-            errors[name] = factor * posterior.error(own + suffix)
-    for name, (stem, base) in pairs.items():
-        x, y = f"{stem}_x", f"{stem}_y"
-        if x in posterior.models[0].names:
-            values[name] = (base[0] + elements[x], base[1] + elements[y])
-            errors[name] = posterior.error(x + suffix), posterior.error(y + suffix)
+    logged = {"thrust_acceleration": believed.thrust_acceleration} if steady else {}
+    shares = {"drag": 1.0 / elements["response_time"]}
+    values, errors = dict[str, Any](), dict[str, Any]()
+    absent: dict[str, Any] = {}  # of what was known there is an entry, without a value
+    for name in (item.name for item in fields(VehicleEstimate) if item.name in FREEDOMS):
+        own, share = FREEDOMS[name].elements, shares.get(name, 1.0)
+        absent |= {name: None, f"{name}_interval{'s' * (len(own) > 1)}": None}
+        if own[0] in posterior.models[0].names:
+            base = logged.get(name, (0.0,) * len(own))
+            value = tuple(b + share * elements[e] for b, e in zip(base, own, strict=True))
+            error = tuple(share * posterior.error(e + suffix) for e in own)
+            values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
     if not values:
         return values
-    absent: dict[str, Any] = {}  # of what was known there is an entry, without a value
-    for name in ("response_time", "drag", "thrust_scale", *pairs):
-        absent |= {name: None, f"{name}_interval{'s' * (name in pairs)}": None}
     return values | {"vehicle_uncertainty": Uncertainty(absent | Uncertainty.of(values, errors))}

@@ -21,7 +21,6 @@ from sparsefit.onboard.sweep import (
     EVEN,
     HEADING,
     LENGTH,
-    PEAKS,
     SPEED,
     UNEVEN,
     BoardAnswer,
@@ -71,12 +70,6 @@ class Board:
         self.product, self.last = np.zeros(levels), np.zeros((levels, 4))
         self.age, self.gated, self.remaining = 0.0, 0.0, np.zeros(2)
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of memory that rows, filters and the search take."""
-        filters = self.state.nbytes + self.covariance.nbytes
-        return self.sweep.memory.nbytes + filters + PEAKS * 8 * 64
-
     def update(
         self, time_ns: int, x: float, y: float, vx: float, vy: float, measured: Any = None
     ) -> int:
@@ -119,8 +112,7 @@ class Board:
             squares = np.array([np.sum((row[2:] - w) ** 2), np.sum(row[2:] ** 2)])
             self.remaining = self.remaining + (squares - self.remaining) / 32
         if not self.following:
-            peak = self.sweep.work()
-            if isinstance(peak, Peak):
+            if (peak := self.sweep.work()) is not None:
                 self.sweep.doubt = self._start(peak, z)
         elif status == OK:
             self._follow(z, h, push)
@@ -204,12 +196,12 @@ class Board:
         covariance = step @ self.covariance @ np.swapaxes(step, 1, 2)
         level = (LEVELS * speed) ** 2
         white = FLOOR**2 * level * (2 / RATE) * (slope[0, 0] ** 2 + slope[0, 1] ** 2) * h
-        for i in range(2):
-            covariance[:, 4 + i, 4 + i] += level * (1 - decay**2)
-            covariance[:, 2 + i, 2 + i] += white
-            covariance[:, i, i] += white * h**2 / 3
-            covariance[:, i, 2 + i] += white * h / 2
-            covariance[:, 2 + i, i] += white * h / 2
+        x, v, u = np.arange(6).reshape(3, 2)
+        for i, j, kick in (
+            *((u, u, level * (1 - decay**2)), (v, v, white), (x, x, white * h**2 / 3)),
+            *((x, v, white * h / 2), (v, x, white * h / 2)),
+        ):
+            covariance[:, i, j] += kick[:, None]
         self.covariance = covariance
 
     def _correct(self, place: int, measured: float, variance: float) -> tuple[Array, Array]:
@@ -271,10 +263,8 @@ class Board:
         error = np.einsum("gi,ij,gj->g", by_flow, inverse, by_flow)
         if value[UNEVEN] ** 2 > 40 * error[UNEVEN]:
             return BoardDoubt.SHAPE
-        if not (
-            error[SPEED] < (0.03 * value[SPEED]) ** 2
-            and error[LENGTH] < (0.01 * value[LENGTH]) ** 2
-        ):
+        both, share = [SPEED, LENGTH], np.array([0.03, 0.01])
+        if not (error[both] < (share * value[both]) ** 2).all():
             return BoardDoubt.IMPRECISE
         self._reset()
         self.state[:, FLOW], self.covariance[:, FLOW, FLOW] = peak.flow, 4 * inverse
@@ -287,9 +277,8 @@ class Board:
     def estimate(self) -> BoardAnswer:
         """Answer from all samples so far: the filters weighed by their likelihoods."""
         if not self.following:
-            doubt = self.sweep.doubt
+            doubt, nothing = self.sweep.doubt, np.full(4, math.nan)
             rival = self.sweep.rival if doubt is BoardDoubt.RIVAL else 0.0
-            nothing = np.full(4, math.nan)
             return BoardAnswer(doubt, self.samples, nothing, np.zeros(4), rival=rival)
         weight = np.exp(self.log_likelihood - self.log_likelihood.max())
         weight /= weight.sum()
@@ -323,17 +312,9 @@ class Board:
             doubt = BoardDoubt.IMPRECISE
         elif not settings.lower <= value[LENGTH] <= settings.upper:
             doubt = BoardDoubt.EDGE
-        return BoardAnswer(
-            doubt,
-            self.samples,
-            value,
-            error,
-            innovation,
-            correlation,
-            float(weight @ LEVELS),
-            unexplained,
-            flow=np.concatenate([flow, self.anchor + self.origin]),
-        )
+        tests = innovation, correlation, float(weight @ LEVELS), unexplained
+        whole = np.concatenate([flow, self.anchor + self.origin])
+        return BoardAnswer(doubt, self.samples, value, error, *tests, flow=whole)
 
 
 def board_of(settings: BoardSettings, *, compiled: bool = True) -> Any:

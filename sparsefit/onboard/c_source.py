@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import asdict
 from importlib.resources import files
-from typing import Literal
+from typing import Any, Literal
 
 from sparsefit import __version__
 from sparsefit.errors import InputError, one_line, one_of
@@ -39,29 +39,23 @@ def ram(real: Real) -> int:
     return math.ceil((reals * (8 if real == "double" else 4) + 96) / 64) * 64
 
 
-def work(candidates: int) -> dict[str, tuple[int, int, int]]:
-    """Return the sums and products, quotients and roots, sines and logs of a sample, at most.
-
-    Of one that all filters follow, in a step of the motion; and of one of the search, which looks
-    at so many candidates.
-    """
-    motion, covariance, corrections = 4 * 2 * 60, 2 * (6 + 6) * 144, 4 * (12 + 2 * 78)
-    sums, filters = motion + covariance + corrections + 300, len(LEVELS)
-    return {
-        "following": (filters * sums, filters * 60, filters * 30),
-        "searching": (candidates * ROWS * 36 + 4 * ROWS, candidates * 12, candidates * ROWS * 4),
-    }
-
-
 def costs(real: Real, candidates: int) -> list[str]:
-    """Return RAM, work and time in lines for people."""
+    """Return RAM, and the work and time of a sample at most, in lines for people.
+
+    All filters follow one sample in a step of the motion; one of the search looks at so many
+    candidates. Work is counted in sums and products, quotients and roots, sines and logs.
+    """
+    filters, rows = len(LEVELS), candidates * ROWS
+    sums = 4 * 2 * 60 + 2 * (6 + 6) * 144 + 4 * (12 + 2 * 78) + 300  # motion, covariance, readings
     lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`"]
-    for name, counts in work(candidates).items():
-        sums, quotients, functions = counts
+    for name, counts in {
+        "following": (filters * sums, filters * 60, filters * 30),
+        "searching": (rows * 36 + 4 * ROWS, candidates * 12, rows * 4),
+    }.items():
         seconds = sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK
         lines += [
-            f"work   {name}: {sums} sums and products, {quotients} quotients and roots, "
-            f"{functions} sines,",
+            f"work   {name}: {counts[0]} sums and products, {counts[1]} quotients and roots, "
+            f"{counts[2]} sines,",
             f"       cosines, logs a sample, at most: {1e6 * seconds:.0f} us at "
             f"{CLOCK / 1e6:.0f} MHz (cycles assumed, not measured)",
         ]
@@ -72,17 +66,11 @@ def example_flight(estimator: Estimator, seed: int = 7) -> Flight:
     """Return a flight of 1201 samples amid the grid, with usual noise, steps of whole ns."""
     grid = estimator.library.grid
     flow = CellularFlow(15.0, min(math.sqrt(grid.lower * grid.upper), 4.0 * grid.lower))
-    tau = 1.5 * flow.timescale
-    step = max(1, round(1e6 * 0.06 * flow.timescale)) * 1e-6
-    return simulate_flight(
-        flow,
-        PointMassVehicle(tau, (3.0 / tau, 2.0 / tau)),
-        duration=1200 * step,
-        sample_rate=1 / step,
-        seed=seed,
-        position_noise=0.01 * flow.length_scale,
-        velocity_noise=0.01 * flow.mean_velocity,
-    )
+    tau, step = 1.5 * flow.timescale, max(1, round(1e6 * 0.06 * flow.timescale)) * 1e-6
+    vehicle = PointMassVehicle(tau, (3.0 / tau, 2.0 / tau))
+    place, speed = 0.01 * flow.length_scale, 0.01 * flow.mean_velocity
+    clock: dict[str, Any] = {"duration": 1200 * step, "sample_rate": 1 / step, "seed": seed}
+    return simulate_flight(flow, vehicle, position_noise=place, velocity_noise=speed, **clock)
 
 
 def reference(estimator: Estimator, flight: Flight) -> str:

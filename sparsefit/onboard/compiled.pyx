@@ -74,11 +74,6 @@ cdef class CompiledFlow:
         """Whether the filters follow a flow."""
         return bool(self.flow.following)
 
-    @property
-    def nbytes(self):
-        """Bytes of the state."""
-        return sizeof(sf_flow)
-
     def __reduce__(self):
         return _restored, ((<char *>&self.flow)[: sizeof(sf_flow)],)
 

@@ -8,6 +8,7 @@ scored as the stream that it was by `as_flown`.
 from __future__ import annotations
 
 import math
+import pickle
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
@@ -185,8 +186,8 @@ class OnlineEstimator:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of memory that the board takes."""
-        return int(self._board.nbytes)
+        """Bytes of the board's state, which is all that it remembers."""
+        return len(pickle.dumps(self._board))
 
     @property
     def answer(self) -> BoardAnswer:
@@ -223,20 +224,9 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **more: Any) -> Estim
             "length_scales": (length, length),
         }
         heading = heading if any_heading else 0.0
-    return Estimate(
-        speed,
-        length,
-        time,
-        status=answer.status,
-        reason=reason,
-        backend=backend.name,
-        settings=settings_of(backend),
-        samples=answer.samples,
-        rival_length_scale=answer.rival or math.nan,
-        doubt=doubt,
-        heading=heading,
-        **more,
-    )
+    more |= {"backend": backend.name, "settings": settings_of(backend), "samples": answer.samples}
+    more |= {"status": answer.status, "doubt": doubt, "reason": reason, "heading": heading}
+    return Estimate(speed, length, time, rival_length_scale=answer.rival or math.nan, **more)
 
 
 @dataclass(frozen=True)
@@ -256,11 +246,11 @@ class Stream:
 
     def __post_init__(self) -> None:
         """Check both."""
-        if self.window is not None and self.memory is not None:
+        given = {name: value for name, value in vars(self).items() if value is not None}
+        if len(given) > 1:
             raise InputError("online: give window or memory [s], not both")
-        for name in ("window", "memory"):
-            if getattr(self, name) is not None:
-                positive(f"online: {name}", getattr(self, name), "s")
+        for name, value in given.items():
+            positive(f"online: {name}", value, "s")
 
     @property
     def asked(self) -> bool:

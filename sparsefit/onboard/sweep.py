@@ -285,11 +285,10 @@ class Sweep:
         peak.trial = peak.flow + np.linalg.solve(damped, peak.right)
         return True
 
-    def work(self) -> BoardDoubt | Peak:
-        """Do the work of one sample: a doubt that stays, or the peak that is to be followed."""
+    def work(self) -> Peak | None:
+        """Do the work of one sample; return the peak that is to be followed, if there is one."""
         if self.count < FEWEST_ROWS:
-            self.doubt = BoardDoubt.FEW_SAMPLES
-            return self.doubt
+            return None
         rows = self.memory[: self.count]
         if not self.sweeping:
             extent = max(self.settings.lower, *np.ptp(rows[:, :2], axis=0).tolist())
@@ -300,7 +299,7 @@ class Sweep:
             looks = (self.look(rows) for _ in range(self.settings.candidates))
             self.refining = int(not all(looks))
             self.middle = rows[:, :2].mean(axis=0)
-            return self.doubt
+            return None
         peak = self.peaks[self.refining - 1]
         if not self.iteration:
             direction = np.array([math.cos(peak.angle), math.sin(peak.angle)])
@@ -311,7 +310,7 @@ class Sweep:
         if self.iteration >= REFINEMENTS:
             self.iteration, self.refining = 0, self.refining + 1
         if self.refining <= len(self.peaks):
-            return self.doubt
+            return None
         self.sweeping = False
         best = min(self.peaks, key=lambda peak: peak.residual)
         rival, size = math.inf, math.hypot(*best.flow[4:])
@@ -325,4 +324,4 @@ class Sweep:
             self.doubt = BoardDoubt.RIVAL
         else:
             return best
-        return self.doubt
+        return None

@@ -9,7 +9,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.onboard import c_source
-from sparsefit.onboard.c_source import package, ram, work
+from sparsefit.onboard.c_source import package, ram
 
 GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 ESTIMATOR = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
@@ -128,4 +128,3 @@ def test_refusals_and_costs():
         package(sf.Estimator(readout=sf.Readout(scales="several")))
     with pytest.raises(sf.InputError, match="unknown C type"):
         package(ESTIMATOR, "half")
-    assert work(8)["searching"][0] > work(8)["following"][0]
