@@ -8,7 +8,6 @@ scored as the stream that it was by `as_flown`.
 from __future__ import annotations
 
 import math
-import pickle
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields
@@ -183,11 +182,6 @@ class OnlineEstimator:
     def restarts(self) -> int:
         """The number of gaps and of clocks that were set."""
         return int(self._board.restarts)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the board's state, which is all that it remembers."""
-        return len(pickle.dumps(self._board))
 
     @property
     def answer(self) -> BoardAnswer:
