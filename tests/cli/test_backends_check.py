@@ -120,8 +120,7 @@ def test_check_of_a_plug_in(capfd: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("argv", "words"),
     [
-        (["good", "--setting", "deed=hang", "--timeout", "2"], "took longer than 2 s"),
-        (["dies"], "'dies' its process died of SIGABRT"),
+        (["good", "--setting", "deed=hang", "--timeout", "1"], "took longer than 1 s"),
         (["lazzo"], 'did you mean "lasso"?'),
         (["lasso", "--timeout", "-1"], "--timeout must be"),
     ],
@@ -133,9 +132,7 @@ def test_what_ends_or_hangs_a_check_is_told_by_name(
     assert words in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("name", "words"), [("dies", "died of SIGABRT"), ("leaves", "SystemExit"), ("good", "")]
-)
+@pytest.mark.parametrize(("name", "words"), [("dies", "died of SIGABRT"), ("good", "")])
 def test_a_study_of_problems_loads_a_plug_in_elsewhere(
     tmp_path: Path, name: str, words: str
 ) -> None:

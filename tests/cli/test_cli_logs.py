@@ -9,7 +9,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.cli import main
-from sparsefit.logs import read_flight, write_flight
+from sparsefit.logs import write_flight
 from tests.cli import verbs
 from tests.logs.log_writers import igc
 
@@ -124,18 +124,8 @@ def test_a_bad_log_is_refused_by_name_before_any_work(capsys, monkeypatch, fligh
     ("options", "words"),
     [
         (("--columns", "time=t,x=lat,y=lon"), "x is east, the longitude"),
-        (("--columns", "time=t[parsec],x=lon,y=lat"), 'unknown unit "parsec"'),
         (("--columns", MAP, "--from", "9"), "at least 3 samples"),
     ],
 )
 def test_bad_options_are_one_line(capsys, flight, options, words):
     assert words in refused(capsys, written(flight), *VEHICLE, *options)
-
-
-def test_time_that_runs_backwards_is_named(capsys, flight):
-    with open("flight.csv") as file:
-        lines = file.read().splitlines()
-    with open("twice.csv", "w") as file:
-        file.write("\n".join([*lines, *lines[lines.index("time,x,y,vx,vy") + 1 :]]) + "\n")
-    assert "time runs backwards: row 501 (t=0.0) follows t=5.0" in refused(capsys, "twice.csv")
-    assert read_flight("flight.csv").samples == flight.samples

@@ -119,9 +119,9 @@ def test_column_order_extra_columns_quotes_comments_and_line_ends_do_not_matter(
 def test_a_log_of_positions_only_stays_one(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     time, position = np.arange(5.0), np.arange(10.0).reshape(5, 2) ** 2
-    write_flight(Flight.from_positions(time, position, VEHICLE), path)
+    write_flight(Flight.from_positions(time, position, VEHICLE, frame="NED"), path)
     flight = read_flight(path)
-    assert not flight.velocity_measured
+    assert (flight.velocity_measured, flight.frame) == (False, "NED")
     np.testing.assert_array_equal(flight.position, position)
     np.testing.assert_array_equal(flight.velocity, np.gradient(position, time, axis=0))
 
@@ -171,6 +171,7 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
         ("# flow={}\n# mean_velocity=1\n# length_scale=1\n" + HEADER + ROWS, "unknown kind None"),
         ("# flow=" + "[" * 5000 + "\n" + HEADER + ROWS, "line 1: .*no JSON object of a flow"),
         ('# flow={"kind": "wave"}\n' + HEADER + ROWS, 'line 1: .*did you mean "waves"'),
+        ("# frame=NWU\n" + HEADER + ROWS, 'line 1: unknown frame "NWU"'),
         ("# length_scale=0\n# mean_velocity=1\n" + HEADER + ROWS, "length_scale must be"),
         (bytes(range(256)) * 4, "no text in UTF-8"),
         ("\x00\x01\x02" * 50, "no text in UTF-8"),
@@ -255,15 +256,6 @@ for path in {[str(long), str(ends), str(packed)]}:
         assert expected in line
 
 
-@pytest.mark.parametrize("content", [b"", b"PAR1", b"junk" * 100, b"PAR1" + b"\0" * 99 + b"PAR1"])
-def test_junk_is_not_parquet(tmp_path, content):
-    path = tmp_path / "a.parquet"
-    write_flight(flight_with(), path)
-    path.write_bytes(content or path.read_bytes().replace(b"time", b"\xf1ime"))
-    with pytest.raises(InputError, match="not a Parquet file, or a damaged one"):
-        read_flight(path)
-
-
 @pytest.mark.parametrize("name", ["a.text", "a", "a.csvv", "a.csv.gz"])
 def test_unknown_file_type(tmp_path, name):
     with pytest.raises(
@@ -272,6 +264,15 @@ def test_unknown_file_type(tmp_path, name):
         read_flight(tmp_path / name)
     with pytest.raises(InputError, match="unknown file type"):
         write_flight(flight_with(), tmp_path / name)
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"junk" * 100, b"PAR1" + b"\0" * 99 + b"PAR1"])
+def test_junk_is_not_parquet(tmp_path, content):
+    path = tmp_path / "a.parquet"
+    write_flight(flight_with(), path)
+    path.write_bytes(content or path.read_bytes().replace(b"time", b"\xf1ime"))
+    with pytest.raises(InputError, match="not a Parquet file, or a damaged one"):
+        read_flight(path)
 
 
 def test_files_that_are_none(tmp_path):

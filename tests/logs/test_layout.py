@@ -143,16 +143,6 @@ def test_degrees_without_pyproj_name_the_extra(monkeypatch):
         read_table(DRIFTER, Layout.of("time=Date,x=Lat,y=Long"))
 
 
-def test_the_frame_is_written_and_read(tmp_path):
-    time, position = np.arange(5.0), np.arange(10.0).reshape(5, 2)
-    flight = sf.Flight.from_positions(time, position, VEHICLE, frame="NED")
-    for name in ("a.csv", "a.parquet"):
-        sf.write_flight(flight, tmp_path / name)
-        assert sf.read_flight(tmp_path / name).frame == "NED"
-    with pytest.raises(InputError, match='unknown frame "NWU"'):
-        sf.Flight.from_positions(time, position, VEHICLE, frame="NWU")
-
-
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
