@@ -188,11 +188,10 @@ def candidate_columns(position: Array, scales: Array) -> Array:
     """
     _check_size(len(position), len(scales) * len(CANDIDATES))
     theta = np.empty((len(position), len(scales), len(CANDIDATES)))
-    k = np.pi / scales
     for start in range(0, len(theta), BUILD_ROWS):
         block, out = position[start : start + BUILD_ROWS], theta[start : start + BUILD_ROWS]
         (out[..., 0], out[..., 2]), (out[..., 1], out[..., 3]) = (
-            sines_and_cosines(block[:, axis : axis + 1] * k) for axis in range(2)
+            sines_and_cosines(block[:, axis : axis + 1] * (np.pi / scales)) for axis in range(2)
         )
         for place, (first, second) in enumerate(((0, 1), (0, 3), (2, 1), (2, 3)), 4):
             np.multiply(out[..., first], out[..., second], out=out[..., place])

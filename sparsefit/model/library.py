@@ -58,31 +58,6 @@ TARGET_NAMES: dict[str, tuple[str, ...]] = {
 STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
 
 
-def checked_unknowns(names: object, target: str) -> tuple[str, ...]:
-    """The names in the order of `UNKNOWNS`; InputError on any other, or a pair that none can tell.
-
-    A constant thrust and a steady wind act alike, as a + wind/tau.
-    """
-    if isinstance(names, str) or not isinstance(names, Sequence):
-        raise InputError(
-            f"unknown must be a list of names such as ('response_time',); got {names!r}"
-        )
-    for name in names:
-        one_of("parameter of the vehicle", name, UNKNOWNS)
-    ordered = tuple(name for name in UNKNOWNS if name in names)
-    if {"thrust_acceleration", "wind"} <= set(ordered):
-        raise InputError(
-            "thrust_acceleration and wind cannot both be unknown: a flight only tells "
-            "a + wind/tau; give one of them"
-        )
-    if ordered and target != "flow-velocity":
-        raise InputError(
-            f"unknown {ordered[0]!r} needs the target 'flow-velocity', not {target!r}; "
-            "leave one out"
-        )
-    return ordered
-
-
 @dataclass(frozen=True)
 class UnknownColumns:
     """The columns of the unknowns: coefficients of v and of m, and a constant per component.
@@ -94,7 +69,6 @@ class UnknownColumns:
     believed: PointMassVehicle
 
     def __post_init__(self) -> None:
-        """Check that the rows are linear in the unknowns."""
         quadratic = math.isinf(self.believed.response_time)
         possible = {"drag", "wind"} if quadratic else {"wind"}
         if not self.believed.drag:
@@ -253,7 +227,24 @@ class Library:
                 "library: 'groups' is a setting of family 'waves', not of 'cells'; leave it out"
             )
         integer("library: every", self.every, 1)
-        object.__setattr__(self, "unknown", checked_unknowns(self.unknown, self.target))
+        if isinstance(self.unknown, str) or not isinstance(self.unknown, Sequence):
+            raise InputError(
+                f"unknown must be a list of names such as ('response_time',); got {self.unknown!r}"
+            )
+        for name in self.unknown:
+            one_of("parameter of the vehicle", name, UNKNOWNS)
+        unknown = tuple(name for name in UNKNOWNS if name in self.unknown)
+        if {"thrust_acceleration", "wind"} <= set(unknown):
+            raise InputError(
+                "thrust_acceleration and wind cannot both be unknown: a flight only tells "
+                "a + wind/tau; give one of them"
+            )
+        if unknown and self.target != "flow-velocity":
+            raise InputError(
+                f"unknown {unknown[0]!r} needs the target 'flow-velocity', not {self.target!r}; "
+                "leave one out"
+            )
+        object.__setattr__(self, "unknown", unknown)
 
     @property
     def bounds(self) -> Bounds:

@@ -168,16 +168,11 @@ class CandidateFlow:
     """A sum of weighted candidates; with free weights it may have a divergence.
 
     w(x) = sum_j C(k_j, x - x0) W_j, C the 8 candidates of a wavenumber (Eq. 17).
-
-    Args:
-        wavenumbers: k = pi/L (s,) [1/m].
-        weights: W (s, 8, 2) [m/s].
-        origin: x0 (2,) [m], where the phases of the candidates are 0.
     """
 
-    wavenumbers: Array
-    weights: Array
-    origin: Array
+    wavenumbers: Array  # k = pi/L (s,) [1/m]
+    weights: Array  # W (s, 8, 2) [m/s]
+    origin: Array  # x0 (2,) [m], where the phases of the candidates are 0
 
     def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
         """Return the flow velocity [m/s], shape (..., 2), at x, y [m]; t [s] changes nothing."""
@@ -213,7 +208,9 @@ def read_grid(
             columns = source.averaged(theta(source.position))
             phi = source.flow_velocity(vehicle).reshape(len(columns), -1)
             parts.append((weight * columns, weight * phi))
-        return _least_squares(*map(np.concatenate, zip(*parts, strict=True)))
+        columns, target = map(np.concatenate, zip(*parts, strict=True))
+        own: Array = np.linalg.lstsq(columns, target, rcond=None)[0]
+        return own
 
     if library.family == "waves":
         k, own = _waves_of(fit)
@@ -244,7 +241,7 @@ def read_grid(
         phi = [samples.flow_velocity(vehicle) for samples, vehicle in pairs]
         target = [library.response(samples, vehicle)[:, -2:] for samples, vehicle in pairs]
         columns = candidate_columns(position, np.pi / k)
-        field = columns @ _least_squares(columns, np.concatenate(target))
+        field = columns @ np.linalg.lstsq(columns, np.concatenate(target), rcond=None)[0]
         speeds = np.array([paper_mean_velocity(field, np.concatenate(phi), readout.eq24)])
     else:
         own = cells_at(k)
@@ -278,7 +275,3 @@ def _waves_of(fit: Fit) -> tuple[Array, Array]:
     """The wavevectors (w, 2) [rad/m] of a fit of waves, and their weights (w, 2)."""
     assert fit.problem.parameters is not None
     return fit.problem.parameters, fit.weights.reshape(-1, 2)
-
-
-def _least_squares(columns: Array, target: Array) -> Array:
-    return np.linalg.lstsq(columns, target, rcond=None)[0].astype(float, copy=False)

@@ -161,9 +161,7 @@ class WaveScan:
     @cached_property
     def axis(self) -> Array:
         """The wavenumbers (n,) along either axis [rad/m]."""
-        half = self.halves[0]
-        axis: Array = self.steps[0] * np.arange(-half, half + 1.0)
-        return axis
+        return np.asarray(self.steps[0] * np.arange(-self.halves[0], self.halves[0] + 1.0))
 
     @cached_property
     def radius(self) -> Array:

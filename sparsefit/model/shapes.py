@@ -180,19 +180,16 @@ def flows_of(wavevectors: Array, amplitudes: Array) -> list[list[int]]:
     size = np.log(np.maximum(np.hypot(*amplitudes.T), np.finfo(float).tiny))
     length = np.log(np.hypot(*wavevectors.T))
     along = wavevectors / np.exp(length)[:, None]
-
-    def unlike(pairing: Array) -> float:
-        first, second = pairing.T
-        apart = np.abs(size[first] - size[second]) + np.abs(length[first] - length[second])
-        # The angle counts a tenth: of waves all alike, squares are preferred.
-        turned = np.abs(np.sum(along[first] * along[second], axis=1))
-        return float(np.sum(apart + 0.1 * turned))
-
-    best = min((np.array(own) for own in ([[0, 1], [2, 3]], [[0, 2], [1, 3]], [[0, 3], [1, 2]])),
-               key=unlike)  # fmt: skip
+    pairings = np.array([[[0, 1], [2, 3]], [[0, 2], [1, 3]], [[0, 3], [1, 2]]])
+    first, second = pairings[..., 0], pairings[..., 1]
+    turned = np.abs(np.sum(along[first] * along[second], axis=2))
+    unlike = np.abs(size[first] - size[second]) + np.abs(length[first] - length[second])
+    # The angle counts a tenth: of waves all alike, squares are preferred.
+    best = pairings[np.argmin(np.sum(unlike + 0.1 * turned, axis=1))]
     if np.abs(np.diff(size[best], axis=1)).max() > 0.2:  # waves that differ by more make no cells
         return [[0, 1, 2, 3]]
-    return [list(map(int, pair)) for pair in best]
+    pairs: list[list[int]] = best.tolist()
+    return pairs
 
 
 @dataclass(frozen=True, eq=False)

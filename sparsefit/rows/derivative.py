@@ -156,7 +156,6 @@ class Derivative:
     repair: bool = True
 
     def __post_init__(self) -> None:
-        """Check the settings, and store the defaults of the method where none are given."""
         one_of("derivative", self.method, METHODS)
         if not isinstance(self.repair, bool):
             raise InputError(f"derivative repair must be true or false; got {self.repair!r}")
