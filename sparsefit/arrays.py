@@ -23,10 +23,7 @@ def box(places: Array) -> tuple[Array, Array]:
 def frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
     """A read-only float64 copy of finite numbers of a shape: ("m", 2), m of any length.
 
-    Text, dates, complex, masked and ragged input is refused, not cast.
-
-    Raises:
-        InputError: by name, shape and row.
+    Text, dates, complex, masked and ragged input is refused by an InputError, not cast.
     """
     try:
         raw = np.asarray(given)
@@ -57,19 +54,10 @@ class Brief:
     """
 
     def __repr__(self) -> str:
-        return _told(self)
+        return _brief(self)
 
 
-def _told(record: Any) -> str:
-    texts = [
-        f"{field.name}={_brief(getattr(record, field.name))}"
-        for field in fields(record)
-        if field.repr and repr(getattr(record, field.name)) != repr(field.default)
-    ]
-    return f"{type(record).__name__}({', '.join(texts)})"
-
-
-def _brief(value: object) -> str:
+def _brief(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"<array {value.shape}>"
     if isinstance(value, float):
@@ -79,4 +67,8 @@ def _brief(value: object) -> str:
             return f"<{len(value)} {type(value[0]).__name__}>"
         items = ", ".join(map(_brief, value))
         return f"({items},)" if len(value) == 1 else f"({items})"
-    return _told(value) if is_dataclass(value) and not isinstance(value, type) else repr(value)
+    if not is_dataclass(value) or isinstance(value, type):
+        return repr(value)
+    own = [(field, getattr(value, field.name)) for field in fields(value) if field.repr]
+    texts = [f"{f.name}={_brief(item)}" for f, item in own if repr(item) != repr(f.default)]
+    return f"{type(value).__name__}({', '.join(texts)})"

@@ -1,7 +1,7 @@
 """Interchangeable back-ends: ``get(name, **settings)``, and `fit` and `path` by their names.
 
-Those of other packages are found by the entry-point group ``sparsefit.backends``; a plug-in that
-cannot be loaded is listed with its error and raises it when asked for, it does not vanish.
+Those of other packages are found by the entry-point group ``sparsefit.backends``; a broken one is
+listed with its error, and raises it when asked for.
 """
 
 import warnings
@@ -62,9 +62,7 @@ def known() -> tuple[str, ...]:
 def distribution(name: str) -> str:
     """`NAME VERSION` of what a plug-in was installed with; nothing for our own and unknown ones."""
     entry = None if name in BACKENDS else _plugins().get(name)
-    if entry is None or entry.dist is None:
-        return ""
-    return f"{entry.dist.name} {entry.dist.version}"
+    return f"{entry.dist.name} {entry.dist.version}" if entry and entry.dist else ""
 
 
 def load(name: str) -> type[Backend]:
@@ -159,10 +157,8 @@ def _posed(
             raise InputError(f"{verb} takes a problem and a back-end: {verb}(problem, backend)")
         backend = target
     elif isinstance(target, str) or target is None or backend is None:
-        raise InputError(
-            f"{verb} needs a RegressionProblem and a back-end, or arrays: "
-            f'{verb}(theta, target, "lasso", alpha_fraction=0.1)'
-        )
+        words = f"{verb} needs a RegressionProblem and a back-end, or arrays"
+        raise InputError(f'{words}: {verb}(theta, target, "lasso", alpha_fraction=0.1)')
     else:
         problem = RegressionProblem.from_arrays(problem, target, groups)
     if settings and not isinstance(backend, str):

@@ -47,20 +47,17 @@ def told_with(place: object) -> Iterator[None]:
 
 
 def one_line(text: str, most: int = sys.maxsize) -> str:
-    """The text on one line that any terminal and file can hold; what cannot be shown as `\\x1b`.
-
-    most: letters, of which the last are `...` where it is cut.
-    """
+    """The text on one line of ``most`` letters that any terminal can show; others as `\\x1b`."""
     words = " ".join(text[: 4 * most].split())
     line = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
     return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def described(error: BaseException, most: int = 500) -> str:
-    """`ValueError: what it says`, on one line, of any exception; saying it may fail too."""
+    """`ValueError: what it says`, on one line, of any exception."""
     try:
         said = str(error)
-    except Exception:
+    except Exception:  # a message is code of others, too
         said = "(its message cannot be told)"
     return one_line(f"{type(error).__name__}: {said}", most)
 
@@ -74,10 +71,7 @@ def suggestion(name: str, valid: Iterable[str]) -> str:
 
 
 def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> InputError:
-    """Return (not raise) the error for a name that is not among ``valid``.
-
-    listed: where they stand, if they are too many for a line.
-    """
+    """The error for a name that is not among ``valid``, which stand ``listed`` if they are many."""
     known = list(valid)
     near = suggestion(str(name), known)
     every = f"listed in {listed}" if listed else f"known: {', '.join(known)}"
@@ -101,7 +95,10 @@ def is_number(
     value: object, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
 ) -> TypeGuard[float]:
     """Whether ``value`` is one finite real number in [low, high], or in (low, high]."""
-    number = _real(value)
+    try:
+        number = float(value) if is_real(value) else math.nan  # which every check refuses
+    except OverflowError:
+        number = math.inf
     above = low < number if open_low else low <= number
     return math.isfinite(number) and above and number <= high
 
@@ -123,9 +120,9 @@ def finite(
     low: the least, which ``which`` says in words.
     """
     if not is_number(value, low):
-        words = f"{name} must be a finite number{which}{_in(unit)}"
+        words = f"{name} must be a finite number{which}" + (f" [{unit}]" if unit else "")
         raise InputError(f"{words}; got {shown(value)}")
-    return _real(value)
+    return float(value)
 
 
 def positive(name: str, value: object, unit: str = "") -> float:
@@ -142,7 +139,8 @@ def pair(name: str, value: object, unit: str = "") -> tuple[float, float]:
     """Return ``value`` as two floats, or raise `InputError` unless it is two finite numbers."""
     items = getattr(value, "tolist", lambda: value)()  # what an array holds
     if not isinstance(items, tuple | list) or len(items) != 2:
-        raise InputError(f"{name} must be two numbers, (x, y){_in(unit)}; got {shown(value)}")
+        words = f"{name} must be two numbers, (x, y)" + (f" [{unit}]" if unit else "")
+        raise InputError(f"{words}; got {shown(value)}")
     return finite(f"{name}[0]", items[0], unit), finite(f"{name}[1]", items[1], unit)
 
 
@@ -173,10 +171,7 @@ def number_setting(
     meaning: str = "",
     open_low: bool = False,
 ) -> None:
-    """Raise `InputError` unless ``value`` is a number in [low, high] (or (low, high]).
-
-    Its ``meaning``, where given, ends the message.
-    """
+    """Raise `InputError`, told with ``meaning``, unless value is in [low, high] or (low, high]."""
     if not is_number(value, low, high, open_low=open_low):
         limits = f"{'(' if open_low else '['}{low:g}, {high:g}{']' if high < math.inf else ')'}"
         words = f"{owner}: {name} must be a number in {limits}, not {shown(value)}"
@@ -189,15 +184,3 @@ def shown(value: object) -> str:
         return one_line(repr(value), LONGEST)
     except ValueError:  # Python writes no integer of more than 4300 digits
         return "a number of more than 4300 digits"
-
-
-def _real(value: object) -> float:
-    """NaN stands for everything that is not a real number, so every check refuses it."""
-    try:
-        return float(value) if is_real(value) else math.nan
-    except OverflowError:
-        return math.inf
-
-
-def _in(unit: str) -> str:
-    return f" [{unit}]" if unit else ""

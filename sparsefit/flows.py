@@ -9,13 +9,5 @@ from sparsefit.flight.flow import CellularFlow, FlowField, ShapedCells, Superpos
 from sparsefit.flight.vehicle import ThrustSeries
 from sparsefit.flight.waves import Turbulence, WaveFlow
 
-__all__ = [
-    "CellularFlow",
-    "FlowField",
-    "LogFaults",
-    "ShapedCells",
-    "SuperposedFlow",
-    "ThrustSeries",
-    "Turbulence",
-    "WaveFlow",
-]
+__all__ = ["CellularFlow", "FlowField", "LogFaults", "ShapedCells", "SuperposedFlow",
+           "ThrustSeries", "Turbulence", "WaveFlow"]  # fmt: skip

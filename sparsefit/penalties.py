@@ -11,16 +11,5 @@ from sparsefit.regression.penalties import (
     alpha_max,
 )
 
-__all__ = [
-    "AbsoluteValues",
-    "BoundedValues",
-    "FusedNorm",
-    "GroupNorms",
-    "NestedNorms",
-    "Penalty",
-    "RootSquares",
-    "SortedNorm",
-    "SquaredNorm",
-    "Squares",
-    "alpha_max",
-]
+__all__ = ["AbsoluteValues", "BoundedValues", "FusedNorm", "GroupNorms", "NestedNorms", "Penalty",
+           "RootSquares", "SortedNorm", "SquaredNorm", "Squares", "alpha_max"]  # fmt: skip

@@ -3,10 +3,9 @@
     minimise over w, b:   1/(2m) sum_i s_i |y_i - x_i w - b|^2 + alpha * penalty(w)
 
 with the back-end's own penalty, or rule, in place of the second term; s are the sample weights.
-The intercept b is not penalised: X and y are centred first, and so columns are scaled to unit
-standard deviation where a back-end scales them. `SparseRegressor` takes any back-end, a plug-in
-too; `Lasso`, `GroupLasso`, ... are one class for each of ours, whose parameters are the back-end's
-settings, so that `GridSearchCV` can search over them.
+The intercept b is not penalised: X and y are centred first. `SparseRegressor` takes any back-end, a
+plug-in too; `Lasso`, `GroupLasso`, ... are one class for each of ours, whose parameters are the
+back-end's settings, so that `GridSearchCV` can search over them.
 
 Source of the conventions: scikit-learn, "Developing scikit-learn estimators".
 """
@@ -51,14 +50,13 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     Parameters
     ----------
     backend : str or back-end, default="group-lasso"
-        A name, our own or a plug-in's, with its default settings, or what
-        ``sparsefit.backends.get(name, **settings)`` returns.
+        A name, with default settings, or what ``sparsefit.backends.get(name, **settings)`` returns.
     groups : array-like of shape (n_features,), default=None
         Labels, equal for the columns of one group; None makes each column a group of its own.
     fit_intercept : bool, default=True
-        Whether b is fitted, without penalty; otherwise it is 0.
+        True: b is fitted, without penalty; otherwise it is 0.
     certificate_tolerance : float, default=1e-8
-        Up to which certificate an answer counts as proven.
+        The certificate up to which an answer counts as proven.
 
     Attributes
     ----------
@@ -67,9 +65,8 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     status_, reason_ : ``ok``, or ``inaccurate`` and why.
     certificate_ : what `sparsefit.fit` verified: its kind, value and rounding.
     solver_status_ : the solver's own word.
-    alpha_fraction_, alpha_ : the penalty used, where the back-end has one ("auto" is a number
-        here), as a fraction and in the unit of y: that of `sklearn.linear_model.Lasso` on columns
-        of unit standard deviation.
+    alpha_fraction_, alpha_ : the penalty used, where there is one, as a fraction and in the unit
+        of y: that of `sklearn.linear_model.Lasso` on columns of unit standard deviation.
     n_iter_ : steps that the solver took, or None.
     n_features_in_, feature_names_in_ : of X.
     """
@@ -90,11 +87,9 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     def fit(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> Self:  # noqa: N803
         """Fit X (n_samples, n_features), dense or sparse, and y (n_samples,) or of several columns.
 
-        sample_weight (n_samples,): how much the square of each residual counts, >= 0.
-
-        Warns ConvergenceWarning where the certificate is above its tolerance. Raises FitFailed
-        where the back-end has no answer, and InputError on settings that are out of range; both
-        are ValueError.
+        sample_weight (n_samples,) >= 0: of the square of each residual. Warns ConvergenceWarning
+        where the certificate is above its tolerance. Raises FitFailed where the back-end has no
+        answer, and InputError on settings that are out of range; both are ValueError.
         """
         backend, least = self._backend(), 2 if self.fit_intercept else 1
         checks = {"accept_sparse": self._formats, "dtype": np.float64, "ensure_min_samples": least}
@@ -127,11 +122,10 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
             theta = (design - mean) * (root * varies)
             problem = RegressionProblem.from_arrays(theta, (values - level) * root, **layout)
         fitted = certified(problem, backend, tolerance=self.certificate_tolerance)
-        words = f"{fitted.status}: {fitted.reason}"
         if not np.isfinite(fitted.weights).all():
-            raise FitFailed(f"{backend.name} has no answer, {words}")
+            raise FitFailed(f"{backend.name} has no answer, {fitted.status}: {fitted.reason}")
         if fitted.status != "ok":
-            words = f"{backend.name} is not certified, {words}"
+            words = f"{backend.name} is not certified, {fitted.status}: {fitted.reason}"
             warnings.warn(words, ConvergenceWarning, stacklevel=2)
         coefficients = fitted.weights.T * varies
         intercept = level - coefficients @ mean
@@ -166,10 +160,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
 
 
 def _varying(design: Any, *, centred: bool) -> BoolArray:
-    """Which columns (k,) vary, or are not zero where nothing is centred.
-
-    Raises FitFailed where none does.
-    """
+    """The columns (k,) that vary, or are not zero where nothing is centred; some do."""
     low, high = design.min(axis=0), design.max(axis=0)
     if issparse(design):
         low, high = low.toarray().ravel(), high.toarray().ravel()
