@@ -151,9 +151,27 @@ def asked(
             start = {}  # another layout under the name of a shipped one
         read = build(Entry, {**start, **given}, Place(f"the {kind}"))
         one_of(f"compare of the {kind}", layout := read.compare or "settings", layouts)
+        if other := {_kind_of(read)} - {"", study.kind}:
+            mine = [
+                each
+                for each, options in named.items()
+                if _kind_of(build(Entry, options, Place(each))) in ("", study.kind)
+            ]
+            raise InputError(f"the {kind} {name!r} is of {other.pop()}, and these cases are of "
+                             f"{study.kind}, of which are {', '.join(mine)}")  # fmt: skip
         if not read.measures and layout in ("settings", "protocols", "lines", "ecdf"):
             raise InputError(f"the {kind} {name!r} needs measure = …: add it")
         yield read.file_name, read
+
+
+def _kind_of(entry: Entry) -> str:
+    """Return the kind of cases, `flights` or `problems`, of which alone an entry tells."""
+    layouts = {
+        **dict.fromkeys(("coverage", "parameters", "scatter"), "flights"),
+        **dict.fromkeys(("solvers", "winners", "failed", "profiles", "shapes"), "problems"),
+    }
+    kinds = [layouts.get(entry.compare, ""), *(each.kind for each in entry.measures)]
+    return max(kinds)
 
 
 def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:

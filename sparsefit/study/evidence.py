@@ -52,14 +52,15 @@ def headline(selection: Selection) -> str:
 def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
     """Give what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
     criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
-    kind, regimes, count = selection.kind, criterion.regimes, list(selection.units.values())
+    regimes, units = criterion.regimes, [*map(selection.counted, selection.units.values())]
 
     def scored(value: float, between: Sequence[float]) -> str:
-        return f"{criterion.say(value)} ({significant(between[0])} to {significant(between[1])})"
+        ends = " to ".join(map(significant, between))
+        return criterion.say(value) + ("" if math.isnan(between[0]) else f" ({ends})")
 
     if chosen is not None:
-        fresh = " that had no part in the choice" if len(count) > 1 else ""
-        yield f"Score: {scored(chosen.evaluate, chosen.between)} on {count[-1]} {kind}{fresh}."
+        fresh = " that had no part in the choice" if len(units) > 1 else ""
+        yield f"Score: {scored(chosen.evaluate, chosen.between)} on {units[-1]}{fresh}."
     yield f"Rule: {criterion.words}; the simplest within {100 * rule.margin:g} % of the best."
     limits = [
         f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
@@ -67,7 +68,7 @@ def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
     ]  # fmt: skip
     keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
     where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
-    yield f"Candidates: {len(selection.ranked)}{where}, chosen on {count[0]} {kind}{keeping}."
+    yield f"Candidates: {len(selection.ranked)}{where}, chosen on {units[0]}{keeping}."
     if selection.refused:
         yield f"Not on board: {len(selection.refused)} more, see the table."
     if chosen is None:  # for each constraint, how many it refuses and who comes closest
@@ -79,16 +80,16 @@ def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
         return
     if selection.tied:
         yield f"Tied: {listed([each.title for each in selection.tied], 'and')}."
-    regret, best = selection.regret, selection.hindsight
-    if regret is not None:
-        against = f"{scored(regret.effect, (regret.low, regret.high))} against {best.title}"
+    gap, best = selection.regret, selection.hindsight
+    if gap is not None:
+        against = f"{scored(gap.effect, (gap.low, gap.high))} against {best.title}"
         yield f"Regret: {'none' if best is chosen else against}."
     if len(regimes) > 1 and np.isfinite(chosen.by_regime).any():
         worst = int(np.nanargmax(criterion.sign * chosen.by_regime))
         value = criterion.say(float(chosen.by_regime[worst]))
         yield f"Worst regime: {value} in {regimes[worst]}."
     if chosen.broken:
-        yield f"Broken on the evaluate {kind}: {'; '.join(each.words for each in chosen.broken)}."
+        yield f"Broken on evaluate: {'; '.join(each.words for each in chosen.broken)}."
     if seen := selection.latencies.get(chosen.candidate):
         loud = f"; {100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
         loud = f"{loud}quiet machine" if seen["busy"] > 0.1 else ""
@@ -98,8 +99,9 @@ def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
     if check is not None:
         against = f"{criterion.say(check.regret.effect)} against {check.hindsight}"
         broken = "".join(f"; broken: {each.words}" for each in check.broken)
-        yield (f"Fresh seeds: {scored(check.score, check.between)} on {check.units} {kind}, regret "
-               f"{'none' if check.regret.identical else against}{broken}.")  # fmt: skip
+        regret = "none" if check.regret.identical else against
+        value = f"{scored(check.score, check.between)} on {selection.counted(check.units)}"
+        yield f"Fresh seeds: {value}, regret {regret}{broken}."
 
 
 def verdict(selection: Selection, each: Any) -> str:

@@ -186,7 +186,7 @@ def _steps(entry: Entry, each: Measure, cases: pd.DataFrame, level: str, title: 
             start, end = min(ends[0], float(here[0])), max(ends[1], float(here[-1]))
             x = np.maximum([start, *here, end], least)
             curves.append(Curve(name, x, np.array([0.0, *share, share[-1]])))
-    kind = "problems" if "ratio" in cases else "cases"
+    kind = "problems" if "objective" in cases else "cases"
     beside = f"{wrapped(level, 26)}\n\nshare of {kind} [%]".strip()
     return Panel(curves, with_unit(each.words, each.unit), beside, title,
                  {"drawstyle": "steps-post", "marker": ""}, ends, (-2.0, 102.0), log,
@@ -319,7 +319,9 @@ def _caption(entry: Entry) -> str:
 def fitting(cases: pd.DataFrame) -> list[str]:
     """Return the names of the figures that have something to show of these cases."""
     if "objective" in cases:
-        return ["profiles", "shapes"]
+        predicted = ["prediction"] if np.isfinite(numbers(cases, "holdout_error")).any() else []
+        raced = solver_times.is_race(cases) or not predicted
+        return [*predicted, *(["profiles", "shapes"] * raced)]
     several = cases["flight"].nunique() > 1 and bool(measures.in_flow(cases).any())
     says = {
         "sweep": several and bool(numeric_factors(cases)),

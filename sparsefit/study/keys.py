@@ -126,8 +126,9 @@ class SelectionRule:
     """The rule by which a candidate is chosen, constraints with it: [select]."""
 
     criterion: str = key(
-        "A summary and a measure: the least (or most) of it is best.", "mean timescale-error"
-    )
+        'A summary and a measure: the least (or most) of it is best; of problems '
+        '`"mean holdout-error"` unless said.', "mean timescale-error"
+    )  # fmt: skip
     over: str = key(
         '`"average"` over the regimes, the `"worst"` of them, or the name of one.', "average"
     )

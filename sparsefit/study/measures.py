@@ -101,7 +101,8 @@ class Measure:
     none; summary: in `QUANTILES` or `SUMMARIES`, by which a group of cases is told.
     miss: what a failure counts as in a mean; failures are left out where it is None.
     format: of the summary, three significant digits by default; more: whether more is better;
-    least: a smaller size is rounding; varies: with the machine.
+    least: a smaller size is rounding; varies: with the machine; kind: `flights` or `problems`, of
+    which alone a case has it.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Measure:
     more: bool = False
     least: float = 0.0
     varies: bool = False
+    kind: str = ""
 
     @property
     def phrase(self) -> str:
@@ -263,7 +265,16 @@ def _share(name: str, heading: str, words: str, read: Callable[[pd.DataFrame], A
                    format=format, more=more)  # fmt: skip
 
 
-MEASURES: dict[str, Measure] = {each.name: each for each in (
+MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, group in {"": (
+    Measure("seconds", "s", "time", "time of a case", _column("seconds"), varies=True),
+    Measure("certificate", "", "certificate", "certificate",
+            lambda cases: only(answered(cases), numbers(cases, "certificate")), "largest",
+            format=".1e", varies=True),
+    _share("answered", "answered", "cases with an answer", answered, more=True),
+    *(_share(f"called-{name}", name, f"cases that ended as {name}",
+             partial(lambda name, cases: ended(cases, name), name), more=name == "ok")
+      for name in ("ok", "misfit", "unidentifiable")),
+), "flights": (
     # of each parameter
     *_of_each("error", "%", "|error|", "|error| of {}", miss=100.0, least=TINY),
     *_of_each("size", "%", "|error|", "|error| of {}", least=TINY),
@@ -286,20 +297,12 @@ MEASURES: dict[str, Measure] = {each.name: each for each in (
     _share("hits", "hits", "flights whose nearest grid scale was chosen",
            lambda cases: only(in_flow(cases), answered(cases)
                               & (texts(cases, "hit") == "True").to_numpy()), ".0f", more=True),
-    Measure("seconds", "s", "time", "time of a case", _column("seconds"), varies=True),
-    Measure("certificate", "", "certificate", "certificate",
-            lambda cases: only(answered(cases), numbers(cases, "certificate")), "largest",
-            format=".1e", varies=True),
-    _share("answered", "answered", "cases with an answer", answered, more=True),
     _share("off", "off, of ok", f"flights called ok that are off by more than {OFF:g} %",
            lambda cases: only(in_flow(cases) & ended(cases, "ok"), off(cases)), ".2f"),
     _share("silent-misses", "silent misses", f"flights called ok and off by more than {OFF:g} %",
            lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), ".2f"),
     _share("misfits", "misfit", "flights called a misfit",
            lambda cases: only(in_flow(cases), ended(cases, "misfit"))),
-    *(_share(f"called-{name}", name, f"cases that ended as {name}",
-             partial(lambda name, cases: ended(cases, name), name), more=name == "ok")
-      for name in ("ok", "misfit", "unidentifiable")),
     Measure("r-squared", "", "R²", "R² of the fit", _column("r_squared"), format=".4f", more=True),
     Measure("heading-error", "°", "heading", "|error| of the heading", _heading_errors, least=TINY),
     Measure("sides-error", "%", "sides", "largest |error| of the cells' sides",
@@ -331,7 +334,7 @@ MEASURES: dict[str, Measure] = {each.name: each for each in (
             _column("scales_max_length_scale_error"), least=TINY),
     Measure("scales-mean-velocity-error", "%", "error U0", "largest error of U0",
             _column("scales_max_mean_velocity_error"), least=TINY),
-    # of a regression problem
+), "problems": (
     Measure("ratio", "", "× fastest", "time over that of the fastest", _column("ratio"),
             varies=True),
     Measure("holdout-error", "%", "held-out error", "held-out error, of the target's variance",
@@ -356,4 +359,4 @@ MEASURES: dict[str, Measure] = {each.name: each for each in (
            _timed("disturbed"), ".0f"),
     Measure("cores", "", "CPU / wall", "CPU time over wall time",
             lambda cases: _timed("cpu")(cases) / numbers(cases, "wall"), format=".2f", varies=True),
-)}  # fmt: skip
+)}.items() for each in group}  # fmt: skip

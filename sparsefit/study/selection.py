@@ -161,7 +161,7 @@ class Trials:
     def score(self, at: int) -> tuple[float, tuple[float, float]]:
         """Return the criterion of a candidate and its 95 % interval."""
         sign = self.criterion.sign
-        low, high = sorted(sign * end for end in ends(self.drawn[at]))
+        low, high = sorted(sign * end for end in self.ends(self.drawn[at]))
         return sign * float(self.loss[at]), (low, high)
 
     def against(self, at: int, other: int) -> Difference:
@@ -170,7 +170,11 @@ class Trials:
         alike = np.allclose(*pair, rtol=ROUNDING, atol=least, equal_nan=True)
         with np.errstate(invalid="ignore"):  # two that fail wholly
             effect, drawn = self.loss[at] - self.loss[other], self.drawn[at] - self.drawn[other]
-        return Difference(float(effect), *ends(drawn), bool(alike))
+        return Difference(float(effect), *self.ends(drawn), bool(alike))
+
+    def ends(self, drawn: Array) -> tuple[float, float]:
+        """Return the 95 % interval of resampled values; of a single unit there is none."""
+        return ends(drawn) if self.shape[1] > 1 else (math.nan, math.nan)
 
     def breaches(
         self, rule: Any, timed: Mapping[str, Mapping[str, float]]
@@ -254,10 +258,14 @@ class Selection:
         """The chosen candidate and what is not ruled out: tied, or within the margin."""
         return [each.candidate for each in self.passing if each.within or each in self.tied]
 
-    @property
-    def kind(self) -> str:
-        """The noun of a unit, `flights` or `problems`."""
-        return "problems" if "objective" in self.cases else "flights"
+    def counted(self, count: int) -> str:
+        """Return a number of units in words, `1 problem`."""
+        return f"{count} {'problem' if 'objective' in self.cases else 'flight'}{'s' * (count != 1)}"
+
+    def __str__(self) -> str:
+        from sparsefit.study.evidence import headline, lines
+
+        return "\n".join([headline(self), *(f"- {line}" for line in lines(self))])
 
 
 @dataclass(frozen=True)
@@ -299,6 +307,8 @@ def select(
     """
     rule = rule or study.definition.selection
     rule = rule.changed(**options) if options else rule
+    if study.kind == "problems" and rule.criterion == type(rule)().criterion:
+        rule = rule.changed(criterion="mean holdout-error")
     cases, refused = study.cases, dict(refusals or {})
     _check_split(study, cases)
     cases = cases[~cases["title"].isin(refused)]
@@ -385,7 +395,7 @@ def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     regimes = tuple(regimes_of(cases).unique())
     one_of("regime in over =", rule.over, ("average", "worst", *regimes))
     summary, name = rule.measure
-    with told_with("criterion ="):
+    with told_with("[select] criterion"):
         return Criterion(measures.measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
 
 

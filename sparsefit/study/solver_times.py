@@ -64,6 +64,12 @@ def strictest(cases: pd.DataFrame) -> tuple[str, float, dict[str, pd.DataFrame]]
     return accuracy_text(level), cases.attrs.get("limit", LIMIT), times_to(cases, level)
 
 
+def is_race(cases: pd.DataFrame) -> bool:
+    """Return whether an objective has several solvers that ran."""
+    ran = cases[cases["status"] != "skipped"]
+    return bool((ran.groupby("objective")["solver"].nunique() > 1).any())
+
+
 def places(cases: pd.DataFrame) -> dict[str, int]:
     """Return the best place of every solver in any objective, 0 for the fastest."""
     best: dict[str, int] = {}

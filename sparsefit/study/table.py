@@ -7,7 +7,7 @@ import math
 import re
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -155,7 +155,18 @@ class Table:
 
     def texts(self, most: int) -> list[list[str]]:
         """Return the cells of the first `most` rows as text."""
-        return [list(map(cell_text, row, self.columns)) for row in self.rows[:most]]
+        columns = [
+            replace(column, format=".0f") if self._is_whole(place) else column
+            for place, column in enumerate(self.columns)
+        ]
+        return [list(map(cell_text, row, columns)) for row in self.rows[:most]]
+
+    def _is_whole(self, place: int) -> bool:
+        """Return whether a column without a format of its own holds whole numbers alone."""
+        cells, column = [row[place] for row in self.rows], self.columns[place]
+        numbers = [cell for cell in cells if isinstance(cell, float) and math.isfinite(cell)]
+        whole = bool(numbers) and all(cell.is_integer() and abs(cell) < 1e6 for cell in numbers)
+        return whole and not (column.format or column.least or column.varies)
 
     def remarks(self, most: int) -> list[str]:
         """Return the notes, and how many rows are not among the first `most`."""
@@ -241,6 +252,9 @@ class Table:
         body = "\n".join(line.rstrip() for line in text.splitlines())
         notes = [textwrap.fill(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, body, *notes]) + "\n"
+
+    def __str__(self) -> str:
+        return self.to_text()
 
     def _repr_html_(self) -> str:
         import pandas as pd

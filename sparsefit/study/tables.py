@@ -215,7 +215,8 @@ def fitting(cases: pd.DataFrame) -> list[str]:
     """Return the names of the tables that have something to say about these cases."""
     if "objective" in cases:
         predicted = ["prediction"] if np.isfinite(numbers(cases, "holdout_error")).any() else []
-        return [*predicted, "solvers", "winners", "failed", "clock"]
+        raced = solver_times.is_race(cases) or not predicted
+        return [*predicted, *(["solvers", "winners"] * raced), "failed", *(["clock"] * raced)]
     several = cases["flight"].nunique() > 1
     flown = several and bool(measures.in_flow(cases).any())
     says = {

@@ -300,7 +300,7 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--criterion", "mean"), "criterion =: unknown measure"),
+        (("--criterion", "mean"), "[select] criterion: unknown measure"),
         (("--over", "best"), "unknown regime in over ="),
         (("--max-failure", "2"), '"max_failure" must be at least 0'),
         (("--check", "1000000000"), '"check" must be at least 0 and at most 100000'),
@@ -326,7 +326,10 @@ def test_study_files_that_are_none_are_refused(capsys, fresh):
     for text, words in (
         ("name = ", "bad.toml:1: not TOML"),
         (STUDY.replace("threshold", "treshold"), 'did you mean "threshold"?'),
-        (f'{STUDY}[select]\ncriterion = "mean timescale-eror"', "criterion =: unknown measure"),
+        (
+            f'{STUDY}[select]\ncriterion = "mean timescale-eror"',
+            "[select] criterion: unknown measure",
+        ),
         (f'{STUDY}[select]\nover = "velocity noise 0.2 m/s"', "unknown regime in over ="),
         (f"{STUDY}[select]\nmax_failur = 0.1", 'did you mean "max_failure"?'),
     ):

@@ -96,7 +96,8 @@ class TestTables:
          ({"name": "x", "measure": ["hit"]}, 'did you mean "hits"'),
          ({"name": "x", "measure": ["hits"], "rows": ["titel"]}, 'did you mean "title"'),
          ({"name": "../x", "measure": ["hits"]}, "leave out /"),
-         ({"name": "x", "measure": ["hits"], "compare": "levels"}, "unknown compare")],
+         ({"name": "x", "measure": ["hits"], "compare": "levels"}, "unknown compare"),
+         ("prediction", "is of problems, and these cases are of flights, of which are parameters")],
     )  # fmt: skip
     def test_what_is_not_known_is_refused_with_the_nearest(self, entry, words):
         with pytest.raises(InputError, match=words):
@@ -166,6 +167,9 @@ class TestText:
         assert cell_text("a\x1b[31m\nb", Column("x")) == "a�[31m b"
         texts = [cell_text(value, Column("x")) for value in (None, math.nan, True)]
         assert texts == ["–", "–", "yes"]
+        whole = Table("", (Column("n"),), [(4.0,), (None,), (12.0,)])
+        assert whole.texts(9) == [["4"], ["–"], ["12"]]
+        assert "12" in str(whole)
 
     def test_csv_has_all_rows_and_runs_nothing(self):
         read = pd.read_csv(io.StringIO(self.table.to_csv()))

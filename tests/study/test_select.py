@@ -16,7 +16,7 @@ from sparsefit.study.evidence import (
 from sparsefit.study.latency import Latency
 from sparsefit.study.measures import measure
 from sparsefit.study.selection import check, select
-from tests.study.frames import case, frame, select_rule, study
+from tests.study.frames import case, frame, select_rule, solve, study
 
 FLIGHTS = 12
 
@@ -90,6 +90,14 @@ def test_equals_tie_and_the_first_sentence_can_be_read_aloud():
     assert headline(chosen(swept)) == said
     every = chosen(made[made["label"] != "bad"])
     assert headline(every) == "Use ladder; any of 2 back-ends will do, lasso is the simplest."
+
+
+def test_of_one_problem_there_is_no_interval_and_errors_are_of_rows_held_out():
+    made = frame(*(solve("p0", name, 0.1, holdout_error=size)
+                   for name, size in (("a", 0.2), ("b", 0.1))))  # fmt: skip
+    selection = chosen(made)
+    assert str(selection).startswith("Use b.\n- Score: 10.0 % on 1 problem.\n- Rule: mean held-out")
+    assert [each.title for each in selection.tied] == ["a"]
 
 
 def test_a_noisy_difference_is_a_tie():
