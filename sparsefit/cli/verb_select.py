@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> Reply:
     """
     check_output(args.output, force=args.force)
     from sparsefit.study import evidence
-    from sparsefit.study.selection import check, select
+    from sparsefit.study.selection import check, headline, lines, select
 
     study, _ = stored(args, whole=True)
     args.stopped = "stopped; run the same command again to continue"
@@ -86,9 +86,9 @@ def run(args: argparse.Namespace) -> Reply:
         settings = json.loads(cells["settings"][cell])
         words = "".join(f", {name}={value!r}" for name, value in settings.items())
         usage = f"use it: sf.path(problem, {cells['backend'][cell]!r}{words})"
-    lines = (f"- {line}" for line in evidence.lines(selection, checked))
+    listed = (f"- {line}" for line in lines(selection, checked))
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
-    said = [evidence.headline(selection), *lines, closing, usage]
+    said = [headline(selection), *listed, closing, usage]
     return Reply(record, said, int(chosen is None))
 
 

@@ -1,11 +1,10 @@
-"""The evidence of a selection: what a review asks of it, its tables and picture, and its files."""
+"""The evidence of a selection: its tables and picture, and its files."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,107 +17,12 @@ from sparsefit.study.figures import Picture
 from sparsefit.study.measures import factors
 from sparsefit.study.page import Code, drawing, joined, picture_files, table_files, to_html
 from sparsefit.study.panels import Curve, Panel, drawn
-from sparsefit.study.selection import LIMITS, Check, Selection, limit_text
-from sparsefit.study.table import Column, Row, Table, significant
+from sparsefit.study.selection import Check, Selection, headline, lines, verdict
+from sparsefit.study.table import Column, Row, Table
 from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-def listed(names: Sequence[str], word: str = "or") -> str:
-    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
-    names = list(dict.fromkeys(names))
-    if len(names) > 5:
-        names = [*names[:4], f"{len(names) - 4} more"]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
-
-
-def headline(selection: Selection) -> str:
-    """Return the answer in a sentence that can be read aloud."""
-    chosen = selection.chosen
-    if chosen is None:
-        return f"No candidate of {len(selection.ranked)} keeps every constraint."
-    reading, backend = chosen.reading, chosen.label
-    mine = [each for each in selection.ranked if each.reading == reading]
-    alike = [each.label for each in mine if each.within]
-    if reading and len(alike) > 1:
-        every = set(alike) == {each.label for each in mine}
-        which = f"any of {len(alike)} back-ends" if every else listed(alike)
-        return f"Use {reading}; {which} will do, {backend} is the simplest."
-    return f"Use {f'{reading} with {backend}' if reading else chosen.title}."
-
-
-def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
-    """Give what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
-    criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
-    regimes, units = criterion.regimes, [*map(selection.counted, selection.units.values())]
-
-    def scored(value: float, between: Sequence[float]) -> str:
-        ends = " to ".join(map(significant, between))
-        return criterion.say(value) + ("" if math.isnan(between[0]) else f" ({ends})")
-
-    if chosen is not None:
-        fresh = " that had no part in the choice" if len(units) > 1 else ""
-        yield f"Score: {scored(chosen.evaluate, chosen.between)} on {units[-1]}{fresh}."
-    yield f"Rule: {criterion.words}; the simplest within {100 * rule.margin:g} % of the best."
-    limits = [
-        f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
-        for name in LIMITS if (limit := getattr(rule, name)) is not None
-    ]  # fmt: skip
-    keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
-    where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
-    yield f"Candidates: {len(selection.ranked)}{where}, chosen on {units[0]}{keeping}."
-    if selection.refused:
-        yield f"Not on board: {len(selection.refused)} more, see the table."
-    if chosen is None:  # for each constraint, how many it refuses and who comes closest
-        every = [(breach, each.title) for each in selection.ranked for breach in each.breaches]
-        for name, refused in Counter(breach.constraint for breach, _ in every).most_common():
-            breach, nearest = min((pair for pair in every if pair[0].constraint == name),
-                                  key=lambda pair: pair[0].value)  # fmt: skip
-            yield f"{name}: refuses {refused}; the closest is {nearest}, {breach.words}."
-        return
-    if selection.tied:
-        yield f"Tied: {listed([each.title for each in selection.tied], 'and')}."
-    gap, best = selection.regret, selection.hindsight
-    if gap is not None:
-        against = f"{scored(gap.effect, (gap.low, gap.high))} against {best.title}"
-        yield f"Regret: {'none' if best is chosen else against}."
-    if len(regimes) > 1 and np.isfinite(chosen.by_regime).any():
-        worst = int(np.nanargmax(criterion.sign * chosen.by_regime))
-        value = criterion.say(float(chosen.by_regime[worst]))
-        yield f"Worst regime: {value} in {regimes[worst]}."
-    if chosen.broken:
-        yield f"Broken on evaluate: {'; '.join(each.words for each in chosen.broken)}."
-    if seen := selection.latencies.get(chosen.candidate):
-        loud = f"; {100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
-        loud = f"{loud}quiet machine" if seen["busy"] > 0.1 else ""
-        median, slowest = significant(1e3 * seen["median"]), significant(1e3 * seen["p99"])
-        yield (f"Latency: median {median} ms, 99th percentile {slowest} ms, BLAS on one thread"
-               f"{loud}.")  # fmt: skip
-    if check is not None:
-        against = f"{criterion.say(check.regret.effect)} against {check.hindsight}"
-        broken = "".join(f"; broken: {each.words}" for each in check.broken)
-        regret = "none" if check.regret.identical else against
-        value = f"{scored(check.score, check.between)} on {selection.counted(check.units)}"
-        yield f"Fresh seeds: {value}, regret {regret}{broken}."
-
-
-def verdict(selection: Selection, each: Any) -> str:
-    """Return why a candidate was chosen, or lost."""
-    apart = each.apart
-    if each is selection.chosen:
-        return "chosen"
-    if each.breaches:
-        return "; ".join(breach.words for breach in each.breaches)
-    if apart is None or math.isnan(each.validate):
-        return "nothing to judge it by"
-    if apart.identical:
-        return "the same on every flight, less simple"
-    by = f"{'worse' if apart.effect > 0 else 'better'} by {significant(abs(apart.effect))}"
-    if each.within:
-        return f"{'tied' if apart.tie else f'{by}, within the margin'}, less simple"
-    return f"tied, but {by}: beyond the margin" if apart.tie else by
 
 
 def tables(selection: Selection) -> dict[str, Table]:

@@ -1,220 +1,32 @@
 """From a finished study to one candidate that can be defended, or to the reason why there is none.
 
-Numbers stand as arrays (candidates, units, regimes, cases), candidates as rows of a frame. A
-candidate is chosen on the units of split `validate` and scored once on those of split `evaluate`:
+A candidate is chosen on the units of split `validate` and scored once on those of split `evaluate`:
 of all that keep every constraint in every regime, the first listed within the margin of the best.
-What the units do not tell from it is a tie. A regime is a condition of the study.
+What the units do not tell from it is a tie.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures, resampling
 from sparsefit.study.entries import factor_words
-from sparsefit.study.measures import Measure, factors
-from sparsefit.study.resampling import ROUNDING, Difference, ends, mean
+from sparsefit.study.measures import factors
+from sparsefit.study.resampling import ROUNDING, Difference
 from sparsefit.study.table import significant
+from sparsefit.study.trials import LIMITS, Breach, Criterion, Trials, limit_text, regimes_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 SPLITS = ("validate", "evaluate")
-LIMITS = {  # what a constraint is of, the factor to its unit, and the unit
-    "max_failure": ("cases without an answer", 100.0, "%"),
-    "max_silent_misses": ("silent misses", 100.0, "%"),
-    "max_error": ("95th percentile of the largest error", 1.0, "%"),
-    "max_latency_p99": ("99th percentile of the latency", 1e3, "ms"),
-    "max_memory": ("peak memory", 1.0, "MB"),
-}
-TIMED = {"max_latency_p99": "p99", "max_memory": "memory"}
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """A measure summarised over the units of each regime, and over the regimes.
-
-    over: `average`, `worst`, or the name of a regime.
-    """
-
-    measure: Measure
-    regimes: tuple[str, ...]
-    over: str
-
-    @property
-    def words(self) -> str:
-        """`mean |error| of τ_w, averaged over the regimes`."""
-        where = {"average": "averaged over the regimes", "worst": "in the worst regime"}
-        over = f", {where.get(self.over, f'in {self.over}')}"
-        return self.measure.phrase + over * (len(self.regimes) > 1)
-
-    @property
-    def sign(self) -> float:
-        """The factor by which a score becomes a loss, of which less is better."""
-        return -1.0 if self.measure.more else 1.0
-
-    def by_regime(self, grid: Array) -> Array:
-        """Return the summary (..., regimes) of a grid (..., units, regimes, cases)."""
-        return self.measure.reduce(pooled_regimes(grid))
-
-    def loss(self, grid: Array) -> Array:
-        """Return the one number (...,) of a grid (..., units, regimes, cases), less is better."""
-        losses = self.sign * self.by_regime(grid)
-        if self.over == "average":
-            return mean(losses)
-        if self.over == "worst":
-            return np.asarray(np.fmax.reduce(losses, axis=-1))  # passes over NaN
-        return np.asarray(losses[..., self.regimes.index(self.over)])
-
-    def say(self, value: float) -> str:
-        """Return a value of the criterion with its unit."""
-        return f"{significant(value)} {self.measure.unit}".rstrip()
-
-
-def pooled_regimes(grid: Array) -> Array:
-    """Return (..., regimes, all) of (..., units, regimes, cases)."""
-    swapped = np.moveaxis(grid, -3, -2)
-    return swapped.reshape(*swapped.shape[:-2], -1)
-
-
-@dataclass(frozen=True)
-class Breach:
-    """A constraint that a candidate does not keep: the regime, the value there and the limit."""
-
-    constraint: str
-    regime: str
-    value: float
-    limit: float
-
-    @property
-    def words(self) -> str:
-        """`silent misses 5 % in turbulence 30 %, 1 % is the most`."""
-        where = f" in {self.regime}" if self.regime else ""
-        value, limit = (limit_text(self.constraint, each) for each in (self.value, self.limit))
-        return f"{LIMITS[self.constraint][0]} {value}{where}, {limit} is the most"
-
-
-def limit_text(constraint: str, value: float) -> str:
-    """Return a value of a constraint with its unit."""
-    _, factor, unit = LIMITS[constraint]
-    if math.isinf(value) and constraint in TIMED:
-        return "not measured"
-    return f"{significant(factor * value)} {unit}"
-
-
-class Trials:
-    """The cases of a split as a grid (candidates, units, regimes, cases), and what it tells.
-
-    loss: (candidates,) of the criterion; drawn: (candidates, resamples) of it over units, of which
-    one seed draws the same for all candidates.
-    """
-
-    def __init__(self, cases: pd.DataFrame, candidates: Sequence[str], criterion: Criterion,
-                 seed: int) -> None:  # fmt: skip
-        """Place the cases of a split.
-
-        Raises:
-            InputError: if the candidates were not all tried on the same units and conditions.
-        """
-        import pandas as pd
-
-        self.cases, self.candidates, self.criterion = cases, candidates, criterion
-        candidate = pd.Index(candidates).get_indexer(pd.Index(cases["candidate"]))
-        unit, units = pd.factorize(cases["flight"])
-        regime = pd.Index(criterion.regimes).get_indexer(pd.Index(regimes_of(cases)))
-        keys = pd.DataFrame({"c": candidate, "u": unit, "r": regime})
-        within = keys.groupby(["c", "u", "r"]).cumcount().to_numpy()
-        self.at = (candidate, unit, regime, within)
-        self.shape = (len(candidates), len(units), len(criterion.regimes),
-                      int(within.max(initial=-1)) + 1)  # fmt: skip
-        self.values = self.grid(criterion.measure.values(cases))
-        count = self.grid(np.ones(len(cases)))
-        unequal = (np.isnan(count) != np.isnan(count[:1])).any(axis=(1, 2, 3))
-        if unequal.any():
-            title = cases.loc[candidate == unequal.argmax(), "title"].iloc[:1]
-            raise InputError(
-                f"{', '.join(title) or candidates[int(unequal.argmax())]} was not tried on the "
-                "same flights as the others: finish the study first (sparsefit study run)"
-            )
-        self.loss = criterion.loss(self.values)
-
-        def resampled(own: Array) -> Array:
-            return resampling.resampled(
-                lambda at: criterion.loss(own[at]), len(own), own[0].size, seed
-            )
-
-        self.drawn = np.array([resampled(own) for own in self.values])
-
-    def grid(self, values: Array) -> Array:
-        """Return values (rows,) as a grid, NaN where a regime has fewer cases."""
-        grid = np.full(self.shape, np.nan)
-        grid[self.at] = values
-        return grid
-
-    def score(self, at: int) -> tuple[float, tuple[float, float]]:
-        """Return the criterion of a candidate and its 95 % interval."""
-        sign = self.criterion.sign
-        low, high = sorted(sign * end for end in self.ends(self.drawn[at]))
-        return sign * float(self.loss[at]), (low, high)
-
-    def against(self, at: int, other: int) -> Difference:
-        """Return the loss of a candidate less that of another, paired by unit."""
-        pair, least = (self.values[at], self.values[other]), self.criterion.measure.least
-        alike = np.allclose(*pair, rtol=ROUNDING, atol=least, equal_nan=True)
-        with np.errstate(invalid="ignore"):  # two that fail wholly
-            effect, drawn = self.loss[at] - self.loss[other], self.drawn[at] - self.drawn[other]
-        return Difference(float(effect), *self.ends(drawn), bool(alike))
-
-    def ends(self, drawn: Array) -> tuple[float, float]:
-        """Return the 95 % interval of resampled values; of a single unit there is none."""
-        return ends(drawn) if self.shape[1] > 1 else (math.nan, math.nan)
-
-    def breaches(
-        self, rule: Any, timed: Mapping[str, Mapping[str, float]]
-    ) -> list[tuple[Breach, ...]]:
-        """Return the constraints that each candidate breaks, each in its worst regime.
-
-        What breaks a constraint of the cases need not be timed.
-        """
-        cases, flown = self.cases, measures.in_flow(self.cases)
-
-        def by_regime(values: Array) -> Array:
-            return pooled_regimes(self.grid(values))
-
-        silent = error = np.zeros(len(cases))
-        if "est_mean_velocity" in cases:
-            missed = np.where(flown, measures.off(cases), measures.in_still_air(cases))
-            silent = (missed & measures.ended(cases, "ok")).astype(float)
-            error = measures.MEASURES["largest-error"].read(cases)
-        largest = resampling.quantile(by_regime(error), 0.95)
-        is_flown = (by_regime(flown.astype(float)) > 0).any(axis=-1)
-        values = {
-            "max_failure": mean(by_regime(measures.only(flown, ~measures.answered(cases)))),
-            "max_silent_misses": mean(by_regime(silent)),
-            "max_error": np.where(np.isnan(largest) & is_flown, np.inf, largest),
-        }
-        for name, column in TIMED.items():
-            times = [timed.get(each, {}).get(column, math.inf) for each in self.candidates]
-            values[name] = np.array(times)[:, None]
-        every: list[list[Breach]] = [[] for _ in self.candidates]
-        for name, levels in values.items():
-            limit = getattr(rule, name)
-            for broken, own in zip(every, np.nan_to_num(levels, nan=-np.inf, posinf=np.inf),
-                                   strict=True):  # fmt: skip
-                place = int(own.argmax())
-                is_untimed = name in TIMED and np.isinf(own[place])
-                is_broken = any(breach.constraint not in TIMED for breach in broken)
-                if limit is not None and own[place] > limit and not (is_untimed and is_broken):
-                    where = self.criterion.regimes[place] if len(own) > 1 else ""
-                    broken.append(Breach(name, where, float(own[place]), limit))
-        return [tuple(broken) for broken in every]
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,8 +75,6 @@ class Selection:
         return f"{count} {'problem' if 'objective' in self.cases else 'flight'}{'s' * (count != 1)}"
 
     def __str__(self) -> str:
-        from sparsefit.study.evidence import headline, lines
-
         return "\n".join([headline(self), *(f"- {line}" for line in lines(self))])
 
 
@@ -385,11 +195,6 @@ def check_rule(study: Any) -> None:
         _criterion(rule, cases)
 
 
-def regimes_of(cases: pd.DataFrame) -> pd.Series:
-    """Return the regime of each case: its condition."""
-    return cases["condition"].astype(str).replace("", "everywhere")
-
-
 def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     """Return the measure of a rule over the regimes of the cases."""
     regimes = tuple(regimes_of(cases).unique())
@@ -426,3 +231,98 @@ def check(selection: Selection, cases: pd.DataFrame) -> Check:
     broken = trials.breaches(selection.rule, selection.latencies)[own]
     return Check(trials.shape[1], *trials.score(own), trials.against(own, best),
                  str(list(titles.values())[best]), broken, len(titles))  # fmt: skip
+
+
+def listed(names: Sequence[str], word: str = "or") -> str:
+    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
+    names = list(dict.fromkeys(names))
+    if len(names) > 5:
+        names = [*names[:4], f"{len(names) - 4} more"]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+
+
+def headline(selection: Selection) -> str:
+    """Return the answer in a sentence that can be read aloud."""
+    chosen = selection.chosen
+    if chosen is None:
+        return f"No candidate of {len(selection.ranked)} keeps every constraint."
+    reading, backend = chosen.reading, chosen.label
+    mine = [each for each in selection.ranked if each.reading == reading]
+    alike = [each.label for each in mine if each.within]
+    if reading and len(alike) > 1:
+        every = set(alike) == {each.label for each in mine}
+        which = f"any of {len(alike)} back-ends" if every else listed(alike)
+        return f"Use {reading}; {which} will do, {backend} is the simplest."
+    return f"Use {f'{reading} with {backend}' if reading else chosen.title}."
+
+
+def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
+    """Give what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
+    criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
+    regimes, units = criterion.regimes, [*map(selection.counted, selection.units.values())]
+
+    def scored(value: float, between: Sequence[float]) -> str:
+        ends = " to ".join(map(significant, between))
+        return criterion.say(value) + ("" if math.isnan(between[0]) else f" ({ends})")
+
+    if chosen is not None:
+        fresh = " that had no part in the choice" if len(units) > 1 else ""
+        yield f"Score: {scored(chosen.evaluate, chosen.between)} on {units[-1]}{fresh}."
+    yield f"Rule: {criterion.words}; the simplest within {100 * rule.margin:g} % of the best."
+    limits = [
+        f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
+        for name in LIMITS if (limit := getattr(rule, name)) is not None
+    ]  # fmt: skip
+    keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
+    where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
+    yield f"Candidates: {len(selection.ranked)}{where}, chosen on {units[0]}{keeping}."
+    if selection.refused:
+        yield f"Not on board: {len(selection.refused)} more, see the table."
+    if chosen is None:  # for each constraint, how many it refuses and who comes closest
+        every = [(breach, each.title) for each in selection.ranked for breach in each.breaches]
+        for name, refused in Counter(breach.constraint for breach, _ in every).most_common():
+            breach, nearest = min((pair for pair in every if pair[0].constraint == name),
+                                  key=lambda pair: pair[0].value)  # fmt: skip
+            yield f"{name}: refuses {refused}; the closest is {nearest}, {breach.words}."
+        return
+    if selection.tied:
+        yield f"Tied: {listed([each.title for each in selection.tied], 'and')}."
+    gap, best = selection.regret, selection.hindsight
+    if gap is not None:
+        against = f"{scored(gap.effect, (gap.low, gap.high))} against {best.title}"
+        yield f"Regret: {'none' if best is chosen else against}."
+    if len(regimes) > 1 and np.isfinite(chosen.by_regime).any():
+        worst = int(np.nanargmax(criterion.sign * chosen.by_regime))
+        value = criterion.say(float(chosen.by_regime[worst]))
+        yield f"Worst regime: {value} in {regimes[worst]}."
+    if chosen.broken:
+        yield f"Broken on evaluate: {'; '.join(each.words for each in chosen.broken)}."
+    if seen := selection.latencies.get(chosen.candidate):
+        loud = f"; {100 * seen['busy']:.0f} % of the timed flights disturbed: measure again on a "
+        loud = f"{loud}quiet machine" if seen["busy"] > 0.1 else ""
+        median, slowest = significant(1e3 * seen["median"]), significant(1e3 * seen["p99"])
+        yield (f"Latency: median {median} ms, 99th percentile {slowest} ms, BLAS on one thread"
+               f"{loud}.")  # fmt: skip
+    if check is not None:
+        against = f"{criterion.say(check.regret.effect)} against {check.hindsight}"
+        broken = "".join(f"; broken: {each.words}" for each in check.broken)
+        regret = "none" if check.regret.identical else against
+        value = f"{scored(check.score, check.between)} on {selection.counted(check.units)}"
+        yield f"Fresh seeds: {value}, regret {regret}{broken}."
+
+
+def verdict(selection: Selection, each: Any) -> str:
+    """Return why a candidate was chosen, or lost."""
+    apart = each.apart
+    if each is selection.chosen:
+        return "chosen"
+    if each.breaches:
+        return "; ".join(breach.words for breach in each.breaches)
+    if apart is None or math.isnan(each.validate):
+        return "nothing to judge it by"
+    if apart.identical:
+        return "the same on every flight, less simple"
+    by = f"{'worse' if apart.effect > 0 else 'better'} by {significant(abs(apart.effect))}"
+    if each.within:
+        return f"{'tied' if apart.tie else f'{by}, within the margin'}, less simple"
+    return f"tied, but {by}: beyond the margin" if apart.tie else by

@@ -5,17 +5,10 @@ import pandas as pd
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.study.evidence import (
-    headline,
-    lines,
-    provenance,
-    record,
-    tables,
-    write_selection,
-)
+from sparsefit.study.evidence import provenance, record, tables, write_selection
 from sparsefit.study.latency import Latency
 from sparsefit.study.measures import measure
-from sparsefit.study.selection import check, select
+from sparsefit.study.selection import check, headline, lines, select
 from tests.study.frames import case, frame, select_rule, solve, study
 
 FLIGHTS = 12
