@@ -128,13 +128,7 @@ def doubts_of_flow(
         if result.suspects and free != "auto":
             first = result.suspects[0]
             where = f" of flight {first.flight}" if first.flight else ""
-            name = first.free
-            remedy = f'; free it: free = ["{name}"] (--free {name}), or free = "auto"'
-            if result.diagnosis.posterior is posterior:  # a law that turbulence hides
-                remedy = (
-                    '; give the vehicle its own law, or free it: free = ["response_time", "drag"]'
-                )
-            yield misfit(f"{MORE}{where}: {first.words}{remedy if name else ''}")
+            yield misfit(f"{MORE}{where}: {first.words}{f'; {first.remedy}' if first.free else ''}")
         wanders = [own.name for own in posterior.model.disturbance.processes]
         if free == "auto" and wanders:
             asked = prepared.library.unknown
@@ -212,9 +206,8 @@ def doubts_of_flow(
 
 def _too_late(where: str, latency: float) -> Verdict:
     """The misfit of a log whose position or velocity is late [s]."""
-    words = Suspect("latency", (latency,), 0.0, math.inf, "latency").words
-    remedy = 'shift its times, or free it: free = ["latency"] (--free latency)'
-    return Verdict("misfit", f"{where}{words}; {remedy}", Doubt.MISFIT)
+    late = Suspect("latency", (latency,), 0.0, math.inf, "latency")
+    return misfit(f"{where}{late.words}; shift its times, or {late.remedy}")
 
 
 def _of_flight(prepared: Prepared, number: int) -> str:

@@ -95,6 +95,7 @@ class Suspect:
         share: 2 ln(likelihood ratio) of the cause against none.
         free: the name under which it is freed.
         flight: of several flights the number of the one that says so, from 1; else 0.
+        also: the name of what must be freed with it: the law of both is another.
     """
 
     cause: str
@@ -103,6 +104,16 @@ class Suspect:
     share: float
     free: str = ""
     flight: int = 0
+    also: str = ""
+
+    @property
+    def remedy(self) -> str:
+        """The names to free, as words."""
+        if self.also:
+            return (
+                f'give the vehicle its own law, or free it: free = ["{self.also}", "{self.free}"]'
+            )
+        return f'free it: free = ["{self.free}"] (--free {self.free}), or free = "auto"'
 
     @property
     def of_flow(self) -> bool:

@@ -336,9 +336,10 @@ def _another_law(posterior: Posterior) -> list[Suspect]:
         if name == "law":
             base = gains["filter", flight].gain if known[:-1] else 0.0
             gain, free = (own.gain - base) / posterior.inflation, law[known[-1]]
+            also = "response_time" if free != "response_time" else "drag"
             if (chance := chance_of(gain, 1)) < FALSE_ALARM:
-                size = (float(own.step[-1]),)
-                laws.append(Suspect(FREEDOMS[free].name, size, chance, gain, free, flight))
+                words = FREEDOMS[free].name, (float(own.step[-1]),), chance, gain, free
+                laws.append(Suspect(*words, flight, also))
     return sorted(laws, key=lambda own: -own.share)
 
 
