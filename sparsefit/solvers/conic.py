@@ -40,7 +40,6 @@ BEHIND_CVXPY: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     **dict.fromkeys(("highs", "daqp", "qoco", "cvxopt", "mosek", "gurobi"), ((), {})),
 }
 """Solver of cvxpy -> the settings that hold its tolerance, and what asks it for accuracy."""
-QUADRATIC = ("osqp", "highs", "piqp", "daqp", "proxqp")  # solvers of quadratic programs only
 
 
 @dataclass(frozen=True)
@@ -198,7 +197,8 @@ class Cvxpy:
     def takes(self, penalty: Penalty) -> str:
         """Every penalty with a conic form; solvers of quadratic programs take no group norms."""
         groups = isinstance(penalty, GroupNorms | NestedNorms)
-        if self.name in QUADRATIC and (groups or penalty.loss != SQUARES):
+        quadratic = self.name in ("osqp", "highs", "piqp", "daqp", "proxqp")
+        if quadratic and (groups or penalty.loss != SQUARES):
             return f"{self.name} solves quadratic programs, and group norms are cones"
         return _no_conic_form(penalty)
 

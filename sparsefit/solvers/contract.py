@@ -17,8 +17,6 @@ from sparsefit.regression.backend import Backend, Solution
 from sparsefit.regression.fit import fit
 from sparsefit.regression.problem import RegressionProblem
 
-REPEATED = 1e-6  # relative difference of weights that two solves of one problem may have
-
 
 def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
     """A sentence for everything that is found; none where the back-end keeps the contract."""
@@ -42,7 +40,7 @@ def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
     if weights is None or again is None:
         yield "it has no weights for a problem that every least-squares solver solves"
         return
-    if np.linalg.norm(weights - again) > REPEATED * np.linalg.norm(weights):
+    if np.linalg.norm(weights - again) > 1e-6 * np.linalg.norm(weights):
         yield "it answers the same problem differently the second time: solve must be pure"
     elif first.status == "ok" and (judged := fit(problem, backend)).status != "ok":
         yield f"it says ok of an answer that is not: {judged.reason}"

@@ -26,8 +26,6 @@ from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.kernels import path_on_gram
 
 ROUNDS = 100
-SETTLED = 1e-10  # change of the weights p', relative to alpha, that ends the iteration
-RANK = 1e-10  # eigenvalues of Z'Z/m of free groups below it, relative, count as zero
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class GroupMCP(Checked):
             while values.any() and not settled and count < ROUNDS - 1:
                 count, before = count + 1, slopes
                 slopes = self._slopes(penalty, values, alpha)
-                settled = bool(np.all(np.abs(slopes - before) <= SETTLED))
+                settled = bool(np.all(np.abs(slopes - before) <= 1e-10))
                 values = values if settled else _weighted(problem, slopes, alpha)
             weights = values / problem.design.rms[:, None]
             solution = Solution(weights, solver_status="fixed point", iterations=count)
@@ -101,7 +99,7 @@ def _weighted(problem: RegressionProblem, slopes: Array, alpha: float) -> Array:
     free = slopes[groups] == 0.0
     loose, bound = np.flatnonzero(free), np.flatnonzero(~free)
     roots, vectors = np.linalg.eigh(gram[np.ix_(loose, loose)])
-    on = roots > RANK * roots.max(initial=0.0)
+    on = roots > 1e-10 * roots.max(initial=0.0)  # others count as zero
     half = vectors[:, on] / np.sqrt(roots[on])  # H'GH = I on the range of the free groups' G
     shared, load = half.T @ gram[np.ix_(loose, bound)], half.T @ cross[loose]
     square = float(statistics.target_square.sum() - np.sum(load**2))

@@ -20,8 +20,6 @@ from sparsefit.regression.backend import Checked, Solution, heard, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
-UNBIAS_RCOND = 1e-6
-SAFE_RCOND = 1e-10  # of Z'Z: below it, refined normal equations lose digits that QR keeps
 FEW = 2000  # columns, whose Z'Z is formed once for every support
 
 
@@ -172,7 +170,7 @@ class STLSQ(Checked):
     def _unscaled(self, problem: RegressionProblem, values: Array, support: BoolArray) -> Array:
         """Weights in the units of theta: of the ridge fits, or least squares on their support.
 
-        Singular values below UNBIAS_RCOND of the largest count as zero, as scikit-learn's
+        Singular values below 1e-6 of the largest count as zero, as scikit-learn's
         LinearRegression (which PySINDy calls) has them.
         """
         from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
@@ -187,8 +185,9 @@ class STLSQ(Checked):
             factor, failed = None, len(on) > problem.samples
             if not failed:
                 factor, failed = dpotrf(_products(problem, on), lower=1)
-            if failed or dpocon(factor, 1.0 * len(on), uplo="L")[0] < SAFE_RCOND:
-                least = np.linalg.lstsq(columns * unit[on], target, rcond=UNBIAS_RCOND)[0]
+            if failed or dpocon(factor, 1.0 * len(on), uplo="L")[0] < 1e-10:
+                # refined normal equations would lose digits that QR keeps
+                least = np.linalg.lstsq(columns * unit[on], target, rcond=1e-6)[0]
                 value = least * unit[on]
             else:
                 value = dpotrs(factor, data.cross[on, t], lower=1)[0]

@@ -352,7 +352,7 @@ def by_skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Entry:
+class PublicSolver:
     """Data on a public solver, as `PEERS` lists it.
 
     solved: (task, targets, stop, iterations) -> coefficients u (p, k b) of b targets, target by
@@ -373,23 +373,23 @@ class Entry:
 
 
 BREAKPOINTS: dict[str, Any] = {"iterations": 10, "stops": False, "reads_sparse": False}
-PEERS: dict[str, Entry] = {
-    "scikit-learn-lars": Entry(
+PEERS: dict[str, PublicSolver] = {
+    "scikit-learn-lars": PublicSolver(
         by_scikit_learn_lars, "sklearn", SINGLE[:1], f"lars_path {ON_GRAM}", **BREAKPOINTS
     ),
-    "spams": Entry(
+    "spams": PublicSolver(
         by_spams, "spams", SINGLE[:1], f"LARS {ON_GRAM}", **BREAKPOINTS, extra="spams-bin"
     ),
-    "scikit-learn-cd": Entry(
+    "scikit-learn-cd": PublicSolver(
         by_scikit_learn_cd, "sklearn", SINGLE, f"enet_path {ON_GRAM}", 100_000
     ),
-    "celer": Entry(by_celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200),
-    "skglm": Entry(
+    "celer": PublicSolver(by_celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200),
+    "skglm": PublicSolver(
         *(by_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
         f"AndersonCD, GroupBCD, FISTA {ON_ROWS}",
     ),
-    "glum": Entry(by_glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}"),
-    "sortedl1": Entry(
+    "glum": PublicSolver(by_glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}"),
+    "sortedl1": PublicSolver(
         by_sortedl1, "sortedl1", ("SLOPE", "LASSO"), f"Slope.path {ON_ROWS}", 100_000
     ),
 }
