@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
+from importlib import import_module
 from numbers import Integral, Real
 from typing import Any, TypeGuard
 
@@ -32,6 +33,17 @@ class InputError(SparsefitError, ValueError):
 
 class MissingExtra(SparsefitError, ImportError):  # noqa: N818 - says what is the matter
     """An optional dependency is absent. The message names the extra that brings it."""
+
+
+def optional(module: str, needs: str, extra: str) -> Any:
+    """Return a module that is installed with an extra of this package; `MissingExtra` if it is not.
+
+    needs: the words for what needs it, ``IGC files need aerofiles``.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise MissingExtra(f"{needs}: pip install 'sparsefit[{extra}]'") from None
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from sparsefit.cli.options import Option, Parser, Reply, print_help, verb
-from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line
+from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line, optional
 from sparsefit.whole_file import REMEDIES
 
 EXAMPLE = """\
@@ -83,10 +83,7 @@ def completion(args: argparse.Namespace) -> Reply:
     example:
       eval "$(sparsefit completion bash)"   # in ~/.bashrc
     """
-    try:
-        import shtab
-    except ImportError:
-        raise MissingExtra("completion needs shtab: pip install 'sparsefit[completion]'") from None
+    shtab = optional("shtab", "completion needs shtab", "completion")
     script = shtab.complete(parser(), args.shell)
     return Reply({"shell": args.shell, "script": script}, [script])
 

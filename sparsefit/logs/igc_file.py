@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from importlib import import_module
 from typing import BinaryIO
 
 import numpy as np
 
-from sparsefit.errors import InputError, MissingExtra
+from sparsefit.errors import InputError, optional
 from sparsefit.logs.flight_table import FlightTable
 from sparsefit.logs.layout import Layout, Source
 
@@ -31,10 +30,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     text = file.read(most + 1).decode("utf-8", errors="replace")
     if len(text) > most:
         raise InputError(f"more than {most / 1e6:.0f} MB: no recording of a flight")
-    try:
-        igc = import_module("aerofiles.igc")
-    except ImportError:
-        raise MissingExtra("IGC files need aerofiles: pip install 'sparsefit[logs]'") from None
+    igc = optional("aerofiles.igc", "IGC files need aerofiles", "logs")
     try:
         read = igc.Reader(skip_duplicates=True).read(io.StringIO(text))
     except Exception as error:  # what aerofiles makes of a foreign file may be anything

@@ -10,12 +10,11 @@ are turned back by it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
 
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, MissingExtra
+from sparsefit.errors import InputError, optional
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +78,7 @@ def plane_of(
     longitude = longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
     middle = [(float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude)]
     east, north = origin or middle
-    try:
-        pyproj = import_module("pyproj")
-    except ImportError:
-        remedy = "pip install 'sparsefit[logs]'"
-        raise MissingExtra(f"longitude and latitude need pyproj: {remedy}") from None
+    pyproj = optional("pyproj", "longitude and latitude need pyproj", "logs")
     projection = pyproj.Proj(proj="aeqd", lon_0=east, lat_0=north, ellps="WGS84")
     position = np.column_stack(projection(longitude, latitude))
     farthest = float(np.hypot(*position.T).max())

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import io
 from contextlib import redirect_stdout
-from importlib import import_module
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from sparsefit.arrays import BoolArray
-from sparsefit.errors import InputError, MissingExtra
+from sparsefit.errors import InputError, optional
 from sparsefit.logs.flight_table import COLUMNS, FlightTable
 from sparsefit.logs.layout import Layout, check_size, moment_at
 from sparsefit.logs.plane import plane_of
@@ -33,10 +32,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         MissingExtra: without pyulog.
     """
     layout.refuse_any("a PX4 log")
-    try:
-        pyulog = import_module("pyulog")
-    except ImportError:
-        raise MissingExtra("PX4 logs need pyulog: pip install 'sparsefit[logs]'") from None
+    pyulog = optional("pyulog", "PX4 logs need pyulog", "logs")
     try:
         with redirect_stdout(io.StringIO()):  # what pyulog prints is not passed on
             log = pyulog.ULog(file, [TOPIC, "vehicle_land_detected", "vehicle_gps_position"])

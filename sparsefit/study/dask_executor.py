@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack
-from importlib import import_module
 from itertools import islice
 from typing import Any
 
-from sparsefit.errors import InputError, MissingExtra, described
+from sparsefit.errors import InputError, described, optional
 from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Experiment
 from sparsefit.study.pool import outcomes
@@ -36,12 +35,7 @@ def outcomes_on_dask(
         MissingExtra: dask is not installed.
         InputError: the scheduler cannot be reached, or has no workers.
     """
-    try:
-        dask: Any = import_module("distributed")
-    except ImportError:
-        raise MissingExtra(
-            "dask is not installed: pip install 'sparsefit[dask]', or leave --executor out"
-        ) from None
+    dask = optional("distributed", "dask is not installed, leave --executor out or", "dask")
     with ExitStack() as stack:
         client = _client(dask, scheduler, processes, stack)
         hands = sum(client.nthreads().values())

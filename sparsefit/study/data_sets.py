@@ -25,7 +25,6 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
@@ -33,7 +32,7 @@ import numpy as np
 from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError, MissingExtra, one_of
+from sparsefit.errors import InputError, one_of, optional
 from sparsefit.study.keys import MOST_VALUES, DataSet, Generator
 
 MOST_BYTES = 1 << 30  # of a file
@@ -148,11 +147,7 @@ def read_public(name: str) -> Data:
         MissingExtra: where scikit-learn is not installed.
     """
     one_of("data set", name, DATASETS)
-    try:
-        datasets: Any = import_module("sklearn.datasets")
-    except ImportError:
-        remedy = "pip install 'sparsefit[peers]'"
-        raise MissingExtra(f'data set "{name}" ships with scikit-learn: {remedy}') from None
+    datasets = optional("sklearn.datasets", f'data set "{name}" ships with scikit-learn', "peers")
     load = getattr(datasets, f"load_{name.removesuffix('-quadratic').replace('-', '_')}")
     theta, target = (np.asarray(part, float) for part in load(return_X_y=True))
     if name in ("digits", "iris", "wine", "breast-cancer"):

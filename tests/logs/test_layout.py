@@ -1,5 +1,6 @@
 """Foreign tables: column maps, units, ISO times, degrees on a plane."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ from pyproj import Geod
 
 import sparsefit as sf
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.logs import plane
 from sparsefit.logs.files import read_table
 from sparsefit.logs.layout import Layout, Source
 from sparsefit.logs.plane import plane_of
@@ -135,10 +135,7 @@ def test_degrees_that_are_none(x, y, words):
 
 
 def test_degrees_without_pyproj_name_the_extra(monkeypatch):
-    def absent(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr(plane, "import_module", absent)
+    monkeypatch.setitem(sys.modules, "pyproj", None)
     with pytest.raises(MissingExtra, match=r"pip install 'sparsefit\[logs\]'"):
         read_table(DRIFTER, Layout.of("time=Date,x=Lat,y=Long"))
 
