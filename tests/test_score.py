@@ -126,8 +126,7 @@ def test_prediction_error_is_the_relative_miss_along_other_flights():
     assert sf.score.prediction_error(None, flights) == 1.0
     # doubled: |2 w - w| / |w|
     doubled = sf.flows.ShapedCells(20.0, 4.0, heading=0.2, drift=(0.5, 0.0))
-    assert sf.score.prediction_error(doubled, flights) \
-        == pytest.approx(1.0, rel=1e-12)  # fmt: skip
+    assert sf.score.prediction_error(doubled, flights) == pytest.approx(1.0, rel=1e-12)
     squares = sum(np.sum(flow.velocity(*f.position.T, f.time) ** 2) for f in flights)
     samples = sum(f.samples for f in flights)
     found = sf.score.prediction_error(Offset(flow, (3.0, 4.0)), flights)

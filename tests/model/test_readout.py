@@ -1,9 +1,11 @@
 """Length scale and mean velocity from weights on the grid, against values worked by hand."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.special import j0
 
 import sparsefit as sf
 from sparsefit import backends
@@ -11,12 +13,25 @@ from sparsefit.errors import InputError
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Readout, Search, read_grid
 from sparsefit.model.grid import CANDIDATES, candidate_columns
-from sparsefit.model.readout import paper_mean_velocity, rms_mean_velocity, windows
+from sparsefit.model.readout import (
+    CandidateFlow,
+    paper_mean_velocity,
+    rms_mean_velocity,
+    wave_peaks,
+    windows,
+)
 from sparsefit.rows import Derivative
 from tests.problems import VEHICLE, flight
 
 GRID = LengthScaleGrid(2.0, 7.0, step=0.2)
 PLAIN = Readout()
+
+
+def exact_weights(speed):
+    weights = np.zeros((8, 2))
+    weights[CANDIDATES.index("sin x cos y"), 0] = speed
+    weights[CANDIDATES.index("cos x sin y"), 1] = -speed
+    return weights
 
 
 def by_scale(readout, groups, weights):
@@ -50,9 +65,7 @@ def test_scale_weights_worked_by_hand(readout, expected):
 
 def test_signed_sum_can_cancel_where_the_group_norm_cannot():
     # The cellular flow of Eq. 1 has weights U0 and -U0: Eq. 21 to the letter sums them to zero.
-    weights = np.zeros((8, 2))
-    weights[CANDIDATES.index("sin x cos y"), 0] = 15.0
-    weights[CANDIDATES.index("cos x sin y"), 1] = -15.0
+    weights = exact_weights(15.0)
     assert by_scale("signed-sum", [0] * 8, weights) == pytest.approx([0.0])
     assert by_scale("group-norm", [0] * 8, weights) == pytest.approx([15 * 2**0.5])
 
@@ -156,3 +169,35 @@ def test_windows_are_never_narrower_than_a_lobe_either_side():
 def test_unknown_readouts_are_refused(key):
     with pytest.raises(InputError, match=f"readout {key}"):
         Readout(**{key: "pseudo"})
+
+
+def test_candidates_are_a_flow_anywhere():
+    flow = sf.CellularFlow(15.43, 4.21)
+    k, weights = np.array([flow.wavenumber]), exact_weights(15.43)
+    own = CandidateFlow(k, weights[None], np.array([4.21, 8.42]) * 2)
+    x, y = np.random.default_rng(1).uniform(-9, 9, (2, 8, 5))
+    np.testing.assert_allclose(own.velocity(x, y), flow.velocity(x, y), atol=1e-12)
+    assert rms_mean_velocity(weights) == pytest.approx(15.43)
+
+
+def test_the_rms_is_that_over_the_cell():
+    weights = np.random.default_rng(4).normal(size=(8, 2))
+    axis = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    cell = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    speed = np.linalg.norm(candidate_columns(cell, np.array([np.pi])) @ weights, axis=1)
+    assert rms_mean_velocity(weights) == pytest.approx(np.sqrt(2 * np.mean(speed**2)), rel=1e-12)
+
+
+def test_a_wave_between_those_of_a_grid_is_one_peak_at_its_place():
+    """The weights of neighbours fall as the sums over a disc of positions do."""
+    step = math.pi / 20.0
+    axis = step * np.arange(-8, 9)
+    k = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    k = k[(k[:, 1] > 0) & (np.hypot(*k.T) > 0.3)]
+    true = np.array([0.9, 0.45])
+    share = j0(10.0 * np.linalg.norm(k - true, axis=1)) ** 2
+    weights = np.column_stack([share, np.zeros(len(k))]) / np.hypot(*k.T)[:, None]
+    tops, peaks = wave_peaks(k, weights, 20.0, 5)
+    assert np.linalg.norm(peaks[0] - true) < 0.3 * step
+    assert tops[0] == share.argmax()
+    assert len(wave_peaks(k, 0 * weights, 20.0, 5)[0]) == 0
