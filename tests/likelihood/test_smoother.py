@@ -152,7 +152,7 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
     """Independently: shooting from the first state, least squares over it and the parameters."""
     from scipy.optimize import least_squares
 
-    log, states = flown(3, count=150)
+    log, states = flown(3, count=100)
 
     def misfit(p):
         motion, time = motion_of(StreamPattern("axis", tuple(p[4:]))), log.time
