@@ -163,39 +163,44 @@ def disks(count):
 
 def damage(count):
     with tempfile.TemporaryDirectory() as home:
-        folder, wrong, refused = Path(home), 0, 0
-        study = study_of(folder, "flights", 5)
+        study = study_of(Path(home), "flights", 5)
         study.run(processes=1)
-        exported = {path.name: path.read_bytes() for path in study.folder.iterdir()}
-        with Store.opened(study.folder, study.planned) as store:
-            for row in list(store.rows()):
-                store.put_row(row)
-        whole = (study.folder / STORE).read_bytes()
-        expected = {row.key: row for row in Store.read(study.folder, study.planned).rows()}
-        for seed in range(count):
-            rng = np.random.default_rng(seed)
-            for path in study.folder.iterdir():
-                path.unlink()
-            content = dict(exported) if seed % 2 else {STORE: whole}
-            victim = sorted(content)[rng.integers(len(content))]
-            spoiled = bytearray(content[victim])
-            for place in rng.integers(0, len(spoiled), 1 << rng.integers(0, 8)):
-                spoiled[place] = rng.integers(256)
-            if rng.random() < 0.2:
-                spoiled = spoiled[: rng.integers(len(spoiled))]
-            content[victim] = bytes(spoiled)
-            for name, data in content.items():
-                (study.folder / name).write_bytes(data)
-            try:
-                fresh = sf.Study(study.definition, study.folder)
-                rows = list(Store.read(study.folder, study.planned).rows())
-                wrong += any(expected[row.key] != row for row in rows)
-                if rows:
-                    _ = fresh.cases
-            except InputError as error:
-                refused += 1
-                wrong += "\n" in str(error)
+        wrong, refused = damaged(study, count)
         print(f"{count} damaged stores: {wrong} told wrong rows, {refused} refused in a line")
+
+
+def damaged(study, count):
+    """How many of so many damaged copies of a finished study told wrong rows, or were refused."""
+    wrong, refused = 0, 0
+    exported = {path.name: path.read_bytes() for path in study.folder.iterdir()}
+    with Store.opened(study.folder, study.planned) as store:
+        for row in list(store.rows()):
+            store.put_row(row)
+    whole = (study.folder / STORE).read_bytes()
+    expected = {row.key: row for row in Store.read(study.folder, study.planned).rows()}
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        for path in study.folder.iterdir():
+            path.unlink()
+        content = dict(exported) if seed % 2 else {STORE: whole}
+        victim = sorted(content)[rng.integers(len(content))]
+        spoiled = bytearray(content[victim])
+        for place in rng.integers(0, len(spoiled), 1 << rng.integers(0, 8)):
+            spoiled[place] = rng.integers(256)
+        if rng.random() < 0.2:
+            spoiled = spoiled[: rng.integers(len(spoiled))]
+        content[victim] = bytes(spoiled)
+        for name, data in content.items():
+            (study.folder / name).write_bytes(data)
+        try:
+            rows = list(Store.read(study.folder, study.planned).rows())
+            wrong += any(expected[row.key] != row for row in rows)
+            if rows:
+                _ = sf.Study(study.definition, study.folder).cases
+        except InputError as error:
+            refused += 1
+            wrong += "\n" in str(error)
+    return wrong, refused
 
 
 def main(attack, count="20"):

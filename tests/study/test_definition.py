@@ -84,6 +84,10 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
     assert (study.run.case_timeout, study.run.tolerance) == (30.0, 1e-6)
     assert study.flights.count * len(study.flights.cells) == 6 * 2 * 2 * 3
     assert list(dict.fromkeys(c.choice.label for c in study.flights.cells)) == ["lasso", "literal"]
+    parts = [study.flights.split(flight) for flight in range(6)]  # which are interleaved
+    assert (parts.count("validate"), parts.count("evaluate")) == (2, 4)
+    assert "evaluate" in parts[:3]
+    assert "validate" in parts[3:]
 
 
 def test_defaults(tmp_path: Path) -> None:
@@ -191,13 +195,9 @@ def test_refusals(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert said in refusal(tmp_path, changed(old, new))
 
 
-def test_not_toml_names_the_line(tmp_path: Path) -> None:
-    assert refusal(tmp_path, 'name = "a"\nseed = = 3\n').startswith(":2: not TOML")
-    assert refusal(tmp_path, 'name = "a"\n[flights\n').startswith(":2: not TOML")
-    assert refusal(tmp_path, 'name = "a').startswith(":1: not TOML")
-
-
-def test_not_text_not_there_not_a_file(tmp_path: Path) -> None:
+def test_not_toml_not_text_not_there_not_a_file(tmp_path: Path) -> None:
+    for text, line in (("seed = = 3\n", 1), ("\n[flights\n", 2), ('name = "a', 1)):
+        assert refusal(tmp_path, text).startswith(f":{line}: not TOML")
     (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="UTF-8"):
         read_definition(tmp_path / "x.toml")
@@ -240,29 +240,12 @@ def test_settings_that_only_fit_together(tmp_path: Path) -> None:
     assert len(load(tmp_path, text).flights.cells) == 2 * 4 * 3
 
 
-def test_split_interleaves(tmp_path: Path) -> None:
-    study = load(tmp_path, GOOD)
-    parts = [study.flights.split(flight) for flight in range(6)]
-    assert (parts.count("validate"), parts.count("evaluate")) == (2, 4)
-    assert "evaluate" in parts[:3]
-    assert "validate" in parts[3:]
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        'mean_velocity = "paper"',
-        '[[protocols]]\nname = "w"\n"readout.mean_velocity" = "paper"',
-    ],
-)
+@pytest.mark.parametrize("where", ["", '[[protocols]]\nname = "w"\nreadout.'])
 def test_what_no_estimator_can_combine_is_refused_before_the_first_case(
-    tmp_path: Path, other: str
+    tmp_path: Path, where: str
 ) -> None:
-    path = tmp_path / "s.toml"
-    section = '[readout]\nscales = "several"\n'
-    path.write_text(GOOD.split("[[protocols]]")[0] + section + other, encoding="utf-8")
-    with pytest.raises(InputError, match="cannot part several"):
-        read_definition(path)
+    text = GOOD.split("[[protocols]]")[0] + '[readout]\nscales = "several"\n'
+    assert "cannot part several" in refusal(tmp_path, f'{text}{where}mean_velocity = "paper"\n')
 
 
 @pytest.mark.parametrize(

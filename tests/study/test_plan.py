@@ -132,14 +132,11 @@ def test_draws_follow_their_rules(tmp_path: Path) -> None:
     assert len({one.flow.length_scale for one in found}) == 5
 
 
-@pytest.mark.parametrize(
-    "two", ["mean_velocity = 8.0\nlength_scale = 4.0", "mean_velocity = 8.0\ntimescale = 0.5"]
-)
-def test_the_third_flow_parameter_follows(tmp_path: Path, two: str) -> None:
-    text = "\n".join(
-        line for line in HEAD.splitlines() if not line.startswith(("timescale", "length_scale"))
-    )
-    flow = draws(load(tmp_path, text + "\n" + two + LASSO))[0].flow
+@pytest.mark.parametrize("second", ["length_scale = 4.0", "timescale = 0.5"])
+def test_the_third_flow_parameter_follows(tmp_path: Path, second: str) -> None:
+    lines = [s for s in HEAD.splitlines() if not s.startswith(("timescale", "length_scale"))]
+    text = "\n".join([*lines, "mean_velocity = 8.0", second])
+    flow = draws(load(tmp_path, text + LASSO))[0].flow
     assert (flow.mean_velocity, flow.length_scale, flow.timescale) == (8.0, 4.0, 0.5)
 
 
