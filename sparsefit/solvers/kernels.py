@@ -22,7 +22,6 @@ from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.solvers.newton import (
     Normal,
-    on_a_face,
     relative_gap,
     settled,
     towards_clusters_optimum,
@@ -140,7 +139,7 @@ def homotopy(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
 
 
 def newton(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
-    """Any penalty, on its faces or by proximal points, each started from the penalty before."""
+    """Any penalty, by proximal points, each started from the penalty before."""
     level, values = on.units.level, attempts[max(attempts)] / on.units.level
     # In units of the target's rms y the ridge of y V is y rho, that of alpha and V being one.
     cross, penalty = on.cross / level, on.penalty.in_units(level)
@@ -148,10 +147,7 @@ def newton(on: OnColumns, alphas: Array, attempts: Attempts) -> Stretch:
     steps = np.zeros(len(alphas), np.intp)
     for i, alpha in enumerate((alphas / level).tolist()):
         problem = on.normal, cross, penalty, alpha
-        values, gaps[i], steps[i] = on_a_face(*problem, values, on.stop)
-        if gaps[i] > on.stop:
-            values, gaps[i], taken = settled(*problem, values, on.stop)
-            steps[i] += taken
+        values, gaps[i], steps[i] = settled(*problem, values, on.stop)
         solved[i] = values * level
     return Stretch(solved, gaps <= on.stop, steps)
 

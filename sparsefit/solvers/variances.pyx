@@ -330,11 +330,6 @@ cdef class Search:
         if not evaluated(self.point):
             raise ValueError("the variances of a group path are not finite")
 
-    @property
-    def eta(self):
-        """The variances (g,) at the last penalty."""
-        return np.array(np.asarray(self.point.eta)[: self.z.g])
-
     def minimised(self, double alpha):
         """Weights (n, k), their relative gap, and the factorisations that were spent."""
         values, least, spent, g = np.zeros((self.z.n, self.z.k)), INFINITY, 0, self.z.g
