@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from sparsefit.flight.vehicle import PointMassVehicle
 
 Pair = tuple[float, float]
-SLOWEST = 1e6  # [s], of a vehicle whose drag is quadratic alone
+SLOWEST = 1e6  # [s], of a vehicle whose response is quadratic alone
 LEVELS = ("acceleration", "position_noise", "velocity_noise")
 
 
@@ -111,11 +111,12 @@ class Model:
         cls, pattern: StreamPattern, flight: Flight, vehicle: PointMassVehicle, wind: Pair
     ) -> Model:
         """The model of a flight of a vehicle; a constant thrust is in the log, not in the model."""
+        _, c, *_ = vehicle.parameters
         tau = min(vehicle.response_time, SLOWEST)
         x, y = (0.0, 0.0) if flight.thrust is None else vehicle.thrust_acceleration
         scale = 1.0 if flight.thrust is None else vehicle.thrust_scale
         own = {"response_time": tau, "thrust_scale": scale, "thrust_bias_x": x, "thrust_bias_y": y}
-        own |= {"quadratic_drag": vehicle.drag * tau, "wind_x": wind[0], "wind_y": wind[1]}
+        own |= {"quadratic_drag": c * tau, "wind_x": wind[0], "wind_y": wind[1]}
         return cls(pattern, own)
 
     @cached_property

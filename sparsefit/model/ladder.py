@@ -326,12 +326,13 @@ def propose(search: Search, start: Start) -> tuple[Proposal, ...]:
             ladder.join(np.array(start.waves))
     proposals = []
     for fit, bic in ladder.ranked():
-        vehicles, wind, ratio = read_vehicles(search.unknowns, fit.coefficients)
+        vehicles, uniform, ratio = read_vehicles(search.unknowns, fit.coefficients)
         shift = fit.phases * (1.0, 1.0, -1.0) @ search.origin  # to the flight's own coordinates
         a, b = fit.weights.reshape(-1, 2).T
         cosine = (a * np.cos(shift) - b * np.sin(shift)) / ratio
         sine = (a * np.sin(shift) + b * np.cos(shift)) / ratio
         velocity = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else None
         name, k, share = fit.shape.name, fit.phases[:, :2], fit.residual / search.rows.square
-        proposals.append(Proposal(name, k, cosine, sine, velocity, share, bic, vehicles, wind))
+        own = (cosine, sine, velocity, share, bic, vehicles, uniform)
+        proposals.append(Proposal(name, k, *own))
     return tuple(proposals)
