@@ -73,6 +73,8 @@ def test_a_link_is_not_overwritten_wherever_it_leads(capsys, flight):
     for name in ("dangling.csv", "loop.csv"):
         assert f"{name} exists" in refused(capsys, *SIMULATE, "-o", name)
         assert os.path.islink(name)
+    os.mkfifo("pipe.csv")
+    assert "is no regular file" in refused(capsys, *SIMULATE, "--force", "-o", "pipe.csv")
 
 
 def test_simulate_overwrites_only_with_force(capsys, flight):
