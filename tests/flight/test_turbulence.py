@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from sparsefit.errors import InputError
 from sparsefit.flight.waves import Turbulence
 
 LENGTH, STEP, POINTS = 5.0, 0.5, 2048
@@ -82,18 +81,3 @@ def test_a_seed_is_a_field_and_intensity_only_scales_it():
     twice = Turbulence(2.0, 5.0, seed=3).velocity(LINE, 1.0)
     np.testing.assert_allclose(twice, 2.0 * here, rtol=1e-12, atol=1e-12)
     assert len(Turbulence(1.0, 5.0).waves.cosine) == 128
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"intensity": 0.0}, r"intensity .* \[m/s\]"),
-        ({"length": -1.0}, r"length .* \[m\]"),
-        ({"memory": 0.0}, r"memory .* \[s\]"),
-        ({"spectrum": "dreyden"}, 'did you mean "dryden"'),
-        ({"seed": -1}, "seed must be an integer"),
-    ],
-)
-def test_bad_parameters_are_named(changes, message):
-    with pytest.raises(InputError, match=message):
-        Turbulence(**({"intensity": 1.0, "length": 5.0} | changes))
