@@ -72,9 +72,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `sparsefit ... | head`: the null device takes what is still flushed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
-    except (Exception, MemoryError) as error:
-        return _refused(error)
-    return answer.code
+    except SparsefitError as error:
+        code, message = 2 if isinstance(error, InputError | MissingExtra) else 1, str(error)
+    except UnicodeDecodeError:
+        code, message = 2, "a file is not UTF-8 text; save it as UTF-8"
+    except MemoryError:
+        code, message = 2, "not enough memory; use fewer length scales or samples"
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        remedy = REMEDIES.get(error.errno or 0, "check the path")
+        code, message = 2, f"{place}{error.strerror or error}; {remedy}"
+    else:
+        return answer.code
+    print(f"sparsefit: error: {one_line(message)}", file=sys.stderr)
+    return code
 
 
 def completion(args: argparse.Namespace) -> Reply:
@@ -86,22 +97,3 @@ def completion(args: argparse.Namespace) -> Reply:
     shtab = optional("shtab", "completion needs shtab", "completion")
     script = shtab.complete(parser(), args.shell)
     return Reply({"shell": args.shell, "script": script}, [script])
-
-
-def _refused(error: BaseException) -> int:
-    """The exit code of an error that a user can mend, told on one line; others are raised again."""
-    if isinstance(error, SparsefitError):
-        message = str(error)
-    elif isinstance(error, UnicodeDecodeError):
-        message = "a file is not UTF-8 text; save it as UTF-8"
-    elif isinstance(error, MemoryError):
-        message = "not enough memory; use fewer length scales or samples"
-    elif isinstance(error, OSError):
-        place = f"{error.filename}: " if error.filename else ""
-        remedy = REMEDIES.get(error.errno or 0, "check the path")
-        message = f"{place}{error.strerror or error}; {remedy}"
-    else:
-        raise error
-    print(f"sparsefit: error: {one_line(message)}", file=sys.stderr)
-    failed = isinstance(error, SparsefitError) and not isinstance(error, InputError | MissingExtra)
-    return 1 if failed else 2

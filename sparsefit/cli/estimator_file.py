@@ -40,6 +40,11 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
     Raises:
         InputError: with the option, or with the file and its key, that is wrong.
     """
+    from sparsefit.codec import Place
+    from sparsefit.estimator.estimator import Estimator
+    from sparsefit.estimator.saved import parts_of
+    from sparsefit.model import LengthScaleGrid
+
     given = [option for option in ALL[1:] if getattr(args, option.dest) is not None]
     if args.estimator is not None:
         if given:
@@ -47,16 +52,8 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
             raise InputError(f"{first} and --estimator cannot both be given; drop one")
         return read_estimator(args.estimator)
     values = {key: getattr(args, item.dest) for key, item in OPTIONS.items() if item in given}
-    settings = {f"backend.{key}": value for key, value in collected(args.setting).items()}
-    return _built(values | settings | collected(args.set))
-
-
-def _built(values: dict[str, Any]) -> Estimator:
-    """The estimator with the given values by dotted key, and defaults for the others."""
-    from sparsefit.codec import Place
-    from sparsefit.estimator.estimator import Estimator
-    from sparsefit.estimator.saved import parts_of
-    from sparsefit.model import LengthScaleGrid
+    values |= {f"backend.{key}": value for key, value in collected(args.setting).items()}
+    values |= collected(args.set)
 
     class TypedPlace(Place):
         def error(self, problem: str) -> InputError:

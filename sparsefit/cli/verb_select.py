@@ -64,7 +64,11 @@ def run(args: argparse.Namespace) -> Reply:
         untimed = rule.changed(max_latency_p99=None, max_memory=None)
         trials = [scored.candidate for scored in select(flown, untimed, latencies={}).passing]
         flights, again = rule.latency_flights, args.measure_again
-        latencies = flown.latency(trials, flights, again=again, progress=_announce)
+
+        def announce(done: int, planned: int, left: float | None) -> None:
+            print(f"timing candidate {done + 1} of {planned}", file=sys.stderr)
+
+        latencies = flown.latency(trials, flights, again=again, progress=announce)
     selection = select(flown, rule, latencies=latencies, refusals=refused)
     chosen, checked = selection.chosen, None
     if chosen is not None and rule.check and of_flights:
@@ -97,7 +101,3 @@ def _ran(study: Study, args: argparse.Namespace) -> Study:
     with Progress() as progress:
         study.run(processes=args.processes, progress=progress)
     return study
-
-
-def _announce(done: int, planned: int, left: float | None) -> None:
-    print(f"timing candidate {done + 1} of {planned}", file=sys.stderr)
