@@ -101,18 +101,13 @@ def test_the_bound_is_no_less_than_that_of_known_phases(tmp_path):
     swept = together(tmp_path, sweep='[sweep]\n"flights.together" = [1.0, 3.0]')
     cell = swept.definition.flights.cells[0]
     flown, draw = fly(swept.definition, 1, cell.setup.flights), cell.setup.flights.draw(1, 2, 5)
-    place, speed, scale = (
-        flown.fleet[0].position.T,
-        draw.flow.mean_velocity,
-        draw.flow.length_scale,
-    )
-    rows = [
-        sum(
-            sign * CellularFlow(speed + sign * h, scale + sign * g).velocity(*place).ravel()
-            for sign in (1, -1)
-        ) / 2e-6
-        for h, g in ((1e-6, 0.0), (0.0, 1e-6))
-    ]  # fmt: skip
+    flow, steps = draw.flow, ((1e-6, 0.0), (0.0, 1e-6))
+
+    def velocity(h, g):
+        moved = CellularFlow(flow.mean_velocity + h, flow.length_scale + g)
+        return moved.velocity(*flown.fleet[0].position.T).ravel()
+
+    rows = [(velocity(h, g) - velocity(-h, -g)) / 2e-6 for h, g in steps]
     known = draw.vehicle.response_time * np.sqrt(np.diag(np.linalg.inv(rows @ np.transpose(rows))))
     bounds = flown.bounds
     assert known[0] <= bounds["mean_velocity"] < 1.5 * known[0]
