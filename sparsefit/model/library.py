@@ -260,10 +260,7 @@ class Library:
         return np.hstack([samples.position_rate, samples.acceleration])
 
     def _columns(self, extent: float) -> dict[str, Any]:
-        """The columns that the grid gives a flight of that extent [m], as a problem has them.
-
-        Raises InputError where they are too many to hold.
-        """
+        """The columns that the grid gives a flight of that extent [m], as a problem has them."""
         if self.family == "cells":
             scales = self.grid.resolving(extent).scales
             return {

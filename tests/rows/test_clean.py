@@ -24,16 +24,6 @@ def flown(seed=1, duration=8.0, rate=100.0, flow=FLOW, **noise):
     return simulate_flight(flow, VEHICLE, duration=duration, sample_rate=rate, seed=seed, **noise)
 
 
-@pytest.fixture(scope="module")
-def exact():
-    return flown()
-
-
-@pytest.fixture(scope="module")
-def noisy():
-    return flown(**NOISE)
-
-
 def rows_of(flight, rows):
     arrays = (getattr(flight, name)[rows] for name in ("time", "position", "velocity"))
     return Flight(*arrays, VEHICLE)
@@ -63,20 +53,21 @@ def test_clean_flights_are_not_touched(timescale, noise, method):
 
 
 @pytest.mark.parametrize("count", [2, 8, 40])
-@pytest.mark.parametrize("case", ["exact", "noisy"])
-def test_outliers_are_found_and_nothing_else_moves(request, case, count):
-    flight = request.getfixturevalue(case)
+@pytest.mark.parametrize("noise", [{}, NOISE], ids=str)
+def test_outliers_are_found_and_nothing_else_moves(noise, count):
+    flight = flown(**noise)
     dirty, rows = spoilt(flight, count, seed=count)
     velocity = without_outliers(dirty.velocity)
     assert without_outliers(dirty.position) is dirty.position
     replaced = np.any(velocity != dirty.velocity, axis=1)
     assert set(np.flatnonzero(replaced).tolist()) == rows
     np.testing.assert_array_equal(velocity[~replaced], flight.velocity[~replaced])
-    assert np.abs(velocity - flight.velocity).max() < (1.2 if case == "noisy" else 0.1)
+    assert np.abs(velocity - flight.velocity).max() < (1.2 if noise else 0.1)
     assert AUTO(dirty).repairs == Repairs(outliers=count)
 
 
-def test_a_position_off_by_itself_moves_no_other(noisy):
+def test_a_position_off_by_itself_moves_no_other():
+    noisy = flown(**NOISE)
     position = noisy.position.copy()
     position[400] += [2.0, 0.0]
     mended = without_outliers(position)
@@ -84,8 +75,8 @@ def test_a_position_off_by_itself_moves_no_other(noisy):
     np.testing.assert_array_equal(np.delete(mended - noisy.position, 400, axis=0), 0.0)
 
 
-def test_no_window_crosses_a_gap(exact):
-    rows = np.r_[0:300, 360:801]
+def test_no_window_crosses_a_gap():
+    exact, rows = flown(), np.r_[0:300, 360:801]
     samples = AUTO(rows_of(exact, rows))
     assert (samples.repairs.gaps, samples.repairs.longest_gap) == (1, pytest.approx(0.61))
     half = samples.smoothing.window // 2
@@ -106,8 +97,8 @@ def test_windows_that_cross_a_gap_by_hand():
     assert (pieces.step, pieces.even) == (1.0, True)
 
 
-def test_pieces_too_short_for_a_filter_give_no_rows(exact):
-    part = rows_of(exact, np.r_[0:300, 340:341, 400:420, 480:801])
+def test_pieces_too_short_for_a_filter_give_no_rows():
+    part = rows_of(flown(), np.r_[0:300, 340:341, 400:420, 480:801])
     samples = AUTO(part)
     assert samples.repairs == Repairs(gaps=3, longest_gap=pytest.approx(0.61))
     assert not ((samples.time > 3.0) & (samples.time < 4.0)).any()  # one sample alone
@@ -132,8 +123,8 @@ def test_uneven_steps_are_smoothed_as_even_ones():
     assert errors["uneven"] < 1.5 * errors["even"]  # what is interpolated is not white
 
 
-def test_where_most_stand_out_none_does(noisy):
-    dirty, _ = spoilt(noisy, 320, seed=2, size=50.0)
+def test_where_most_stand_out_none_does():
+    dirty, _ = spoilt(flown(**NOISE), 320, seed=2, size=50.0)
     assert AUTO(dirty).repairs.outliers == 0
 
 
