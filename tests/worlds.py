@@ -212,12 +212,12 @@ def _other(kind: str, rng: np.random.Generator) -> Field:
     return velocity
 
 
-def draw(world: World, flights: int, seed: int) -> list[tuple[sf.Flight, Truth]]:
-    """Flights of a world with their truth, by a seed."""
+def draw(world: World, flights: int, seed: int, first: int = 0) -> list[tuple[sf.Flight, Truth]]:
+    """Flights of a world with their truth, by a seed, from the first wanted on."""
     import zlib
 
     name = zlib.crc32(world.name.encode())
-    return [_draw(world, np.random.default_rng([seed, name, i])) for i in range(flights)]
+    return [_draw(world, np.random.default_rng([seed, name, i])) for i in range(first, flights)]
 
 
 def _draw(world: World, rng: np.random.Generator) -> tuple[sf.Flight, Truth]:
@@ -349,7 +349,7 @@ def _logged(grid, every, rng, rate, duration, sensor, vehicle) -> sf.Flight:
         for start in rng.choice(len(x), max(1, int(sensor["bursts"] * len(x) / 5)), replace=False):
             v[start : start + 5] += rng.normal(size=2) * 5.0
     if "quantum" in sensor:
-        x, v = (np.round(one / sensor["quantum"]) * sensor["quantum"] for one in (x, v))
+        x, v = (np.round(each / sensor["quantum"]) * sensor["quantum"] for each in (x, v))
     return sf.Flight(stamps, x, v, vehicle)
 
 
@@ -375,7 +375,7 @@ def answer(estimator: sf.Estimator, flight: sf.Flight, truth: Truth, world: Worl
     return row
 
 
-def told(rows: list[dict], *, cells: bool = True) -> str:
+def line_of(rows: list[dict], *, cells: bool = True) -> str:
     """A line of a table from the rows of a world."""
     ok = [row for row in rows if row["status"] == "ok"]
     misfit = [row for row in rows if row["status"] == "misfit"]
@@ -413,11 +413,11 @@ def main() -> None:
         pairs = draw(world, given.flights, given.seed)
         rows = [answer(estimator, flight, truth, world) for flight, truth in pairs]
         total += rows
-        print(f"{world.name:22s}{told(rows, cells=given.group != 'none')}", flush=True)
+        print(f"{world.name:22s}{line_of(rows, cells=given.group != 'none')}", flush=True)
         if given.rows:
             with open(given.rows, "a") as file:
                 file.writelines(json.dumps(row) + "\n" for row in rows)
-    print(f"{'all':22s}{told(total, cells=given.group != 'none')}", file=sys.stdout)
+    print(f"{'all':22s}{line_of(total, cells=given.group != 'none')}", file=sys.stdout)
 
 
 if __name__ == "__main__":

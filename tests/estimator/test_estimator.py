@@ -212,7 +212,7 @@ estimators = st.builds(
 
 
 @given(estimators)
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_json_round_trip(estimator):
     text = estimator.to_json()
     assert Estimator.from_json(text) == estimator

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.errors import InputError
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.score import score_scales
 from tests.problems import flight
@@ -86,29 +85,6 @@ def test_unrefined_scales_are_candidates_of_the_grid():
     assert scored.max_mean_velocity_error < 10.0
 
 
-def test_nothing_is_found_in_noise():
-    rng = np.random.default_rng(5)
-    t = np.arange(800) / 100.0
-    velocity = np.array([6.0, 3.5]) + 0.3 * rng.normal(size=(800, 2))
-    position = np.outer(t, [6.0, 3.5])
-    still = sf.Flight(t, position, velocity, sf.PointMassVehicle(0.5, (12.0, 7.0)))
-    found = Estimator(readout=SEVERAL).estimate(still)
-    assert found.status == "unidentifiable"
-    assert "no cellular flow" in found.reason
-
-
-def test_all_weights_zero_are_no_scales():
-    backend = sf.backends.get("group-lasso", alpha_fraction=1.0)
-    found = Estimator(backend=backend, readout=SEVERAL).estimate(flight())
-    assert (found.status, found.scales) == ("unidentifiable", ())
-
-
-def test_a_scale_at_the_edge_of_the_search_is_flagged():
-    library = sf.Library(sf.model.LengthScaleGrid(3.5, 12.0))
-    found = Estimator(library=library, readout=SEVERAL).estimate(flown((10.0, 3.45), noise=0.0))
-    assert found.status == "unidentifiable"
-
-
 def test_json_has_every_scale_and_the_estimator_comes_back():
     estimator = Estimator(readout=SEVERAL)
     assert Estimator.from_json(estimator.to_json()) == estimator
@@ -128,19 +104,6 @@ def test_the_papers_velocity_cannot_part_several():
         sf.Readout(scales="several", mean_velocity="paper")
     with pytest.raises(sf.InputError, match="readout scales"):
         sf.Readout(scales="two")
-
-
-@pytest.mark.parametrize("refine", ["variable-projection", "none"])
-def test_a_flight_that_stands_still_is_refused(refine):
-    flight = sf.Flight(
-        time=np.arange(40) * 0.1,
-        position=np.full((40, 2), 0.7),
-        velocity=np.full((40, 2), 0.3),
-        vehicle=sf.PointMassVehicle(0.5),
-    )
-    readout = sf.Readout(scales="several", refine=refine)
-    with pytest.raises(InputError, match="does not move"):
-        sf.Estimator(readout=readout).estimate(flight)
 
 
 @pytest.mark.parametrize("samples", [18, 24, 48])

@@ -51,12 +51,6 @@ def test_the_flow_is_that_of_the_flight_in_its_own_coordinates(turned):
     assert np.mean((found - true) ** 2) < 1e-3 * np.mean(true**2)
 
 
-def test_an_estimate_with_its_shape_is_json(turned):
-    ready = turned[2].to_dict()
-    assert ready["shape"] == "square"
-    assert len(ready["rungs"]) > 1
-
-
 def test_the_command_line_tells_the_shape(turned):
     _, flight, estimate = turned
     words = "\n".join(lines([ReadLog("turned", flight, quality_of(flight), ())], estimate, ()))
