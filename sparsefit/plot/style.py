@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Drawn = TypeVar("Drawn", "Figure", "Figure | None")
-DPI = 150
 # Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "D", "v", "P", "X", "*")
@@ -47,6 +46,7 @@ STYLE: dict[Any, Any] = {
     "text.parse_math": False,  # names come from files: a "$" in one is a letter
     "svg.fonttype": "path",
     "path.simplify": False,
+    "savefig.dpi": 150,
 }
 
 
@@ -72,7 +72,7 @@ def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list
     """Return a figure of page width, 7 inches, with a grid of axes that do not overlap."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, height), dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(7.0, height), dpi=150, layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     return figure, [list(row) for row in grid]
 
@@ -178,8 +178,6 @@ def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:
     metadata = {".svg": {"Date": None, "Creator": None}, ".pdf": {"CreationDate": None}}
     with mpl.rc_context(STYLE | {"svg.hashsalt": name}), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph", UserWarning)
-        figure.savefig(
-            stream, format=suffix.lstrip("."), dpi=DPI, metadata=metadata.get(suffix, {}),
-            facecolor="white",
-        )  # fmt: skip
+        more = metadata.get(suffix, {})
+        figure.savefig(stream, format=suffix.lstrip("."), metadata=more, facecolor="white")
     return stream.getvalue()

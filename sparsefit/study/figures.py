@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-PANELS = 6  # rows of panels, with more nobody reads a picture
 UNIT_OF = {
     **dict.fromkeys(("duration", "windows", "gap_duration"), "s"),
     **dict.fromkeys(("process_noise", "thrust_acceleration"), "m/s²"),
@@ -52,7 +51,7 @@ class Picture(NamedTuple):
 def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArray]]]:
     """Return the words of row and column, and the places of the cases, of each panel.
 
-    A row of panels is a group of `rows`, a column a level of `columns`.
+    A row of panels is a group of `rows`, six at most, a column a level of `columns`.
     """
     names = [entry.lines, *entry.rows, *filter(None, [entry.columns])]
     entries.check_columns(cases, names, "the figure")
@@ -72,7 +71,7 @@ def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArr
     rows = [(", ".join(map(words, entry.rows, key)), own)
             for key, own in grouped(cases, entry.rows)]  # fmt: skip
     return [[(row, title, np.intersect1d(own, places)) for title, places in columns]
-            for row, own in rows[:PANELS]]  # fmt: skip
+            for row, own in rows[:6]]  # fmt: skip
 
 
 def _curves(entry: Entry, cases: pd.DataFrame, places: IntArray) -> list[tuple[str, IntArray]]:
@@ -127,7 +126,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
                     )
                     for level, title, places in row
                 ])  # fmt: skip
-    grid = grid[:PANELS]
+    grid = grid[:6]  # rows of panels: with more nobody reads a picture
     means = {curve.name: float(np.nanmean(curve.y)) for row in grid[:1] for curve in row[0].curves
              if np.isfinite(curve.y).any()}  # fmt: skip
     slanted = 0.0 if all(isinstance(row[0].levels, np.ndarray) for row in grid) else 0.7

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 Ranks: TypeAlias = Mapping[str, float]  # a legend names the curves of the least
 NAMED_CURVES = 10  # curves that a legend names; the rest are grey, but for a single one
 LOG_RANGE = 8.0  # largest over smallest, from which an axis is logarithmic
-PAGE = 100  # letters along a picture
 
 
 class Curve(NamedTuple):
@@ -114,7 +113,7 @@ class Panel:
         """Set ends, scales and numbers of the axes; `heights` are those of the whole row."""
         if self.names:
             short = list(style.labels(self.names, 34).values())
-            is_long = sum(map(len, short)) + 2 * len(short) > PAGE // columns
+            is_long = sum(map(len, short)) + 2 * len(short) > 100 // columns  # letters
             slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
             if is_long:  # slanted, each on one line: a second would touch its neighbour
                 short = list(style.labels(self.names, 48).values())
@@ -188,7 +187,7 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
             panel.scale(axes, heights, len(row))
             is_last = below is None or below[at].x_label != panel.x_label
             is_first = not at or row[at - 1].y_label != panel.y_label
-            axes.set_xlabel(style.wrapped(panel.x_label, PAGE // len(row)) if is_last else "")
+            axes.set_xlabel(style.wrapped(panel.x_label, 100 // len(row)) if is_last else "")
             axes.set_ylabel(panel.y_label if is_first else "")
             is_alike = is_first or row[at - 1].y_range != panel.y_range
             axes.tick_params(labelbottom=is_last or panel.x_range is not None, labelleft=is_alike)

@@ -26,8 +26,6 @@ from sparsefit.study.trials import LIMITS, Breach, Criterion, Trials, limit_text
 if TYPE_CHECKING:
     import pandas as pd
 
-SPLITS = ("validate", "evaluate")
-
 
 @dataclass(frozen=True, eq=False)
 class Selection:
@@ -130,7 +128,8 @@ def select(
         )
     latencies = study.latencies if latencies is None else latencies
     timed = {name: asdict(seen) for name, seen in latencies.items()}
-    splits = [name for name in SPLITS if (cases["split"] == name).any()] or ["all"]
+    splits = [name for name in ("validate", "evaluate") if (cases["split"] == name).any()]
+    splits = splits or ["all"]
     frame = _in_words(cases)
     every = [Trials(cases[cases["split"] == name], list(frame["candidate"]), criterion, place)
              for place, name in enumerate(splits)]  # fmt: skip
@@ -212,7 +211,7 @@ def _check_split(study: Any, cases: pd.DataFrame) -> None:
             f"{study.name} is unfinished, {len(cases)} of {planned} planned cases have a row: "
             "finish it first (sparsefit study run)"
         )
-    missing = set(SPLITS) - set(cases["split"])
+    missing = {"validate", "evaluate"} - set(cases["split"])
     if missing and study.kind == "flights":
         raise InputError(
             f"{study.name} has no flights to {' or to '.join(sorted(missing))}: "

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 ACCURACIES, LIMIT, SHIFT = (1e-4, 1e-6, 1e-8), 10.0, 1e-3  # LIMIT [s] unless the frame says
-CHARGED = ", certified"  # ends the name of a solver that is timed with its certificates too
 
 
 def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
@@ -80,8 +79,8 @@ def places(cases: pd.DataFrame) -> dict[str, int]:
 
 
 def rivals(seconds: pd.DataFrame) -> pd.DataFrame:
-    """Return the times of the solvers, without those that stand there twice."""
-    return seconds[[name for name in seconds if not str(name).endswith(CHARGED)]]
+    """Return the times without those of solvers that are timed with their certificates too."""
+    return seconds[[name for name in seconds if not str(name).endswith(", certified")]]
 
 
 def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
