@@ -47,8 +47,9 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
 
     Attributes
     ----------
-    coef_ : (n_states, n_library_terms); status_, reason_, certificate_, solver_status_ and, where
-        there is a penalty, alpha_fraction_ are as of `SparseRegressor`.
+    coef_ : (n_states, n_library_terms)
+    status_, reason_, certificate_, solver_status_ : as of `SparseRegressor`; so is `alpha_fraction_`
+        where there is a penalty.
     """
 
     def __init__(

@@ -135,12 +135,11 @@ def answers(_: str, options: Mapping[str, str]) -> list[str]:
 def study_names(kind: str, options: Mapping[str, str]) -> list[str]:
     """The names that [outputs] takes: of tables, figures, summaries or measures."""
     if kind == "measures":
-        rows = [(f"`{name}`", each.words, each.unit) for name, each in measures.MEASURES.items()]
-        return table(("measure", "what it is", "unit"), rows)
-    names: Iterable[str] = SUMMARY_NAMES
-    if kind != "summaries":
-        layouts = {"tables": tables.LAYOUTS, "figures": figures.LAYOUTS}[kind]
-        names = {**entries.shipped(kind), **layouts}
+        rows = [(f"`{name}`", each.words, each.unit, each.kind or "flights, problems")
+                for name, each in measures.MEASURES.items()]  # fmt: skip
+        return table(("measure", "what it is", "unit", "of"), rows)
+    layouts = {"tables": tables.LAYOUTS, "figures": figures.LAYOUTS}
+    names = {**entries.shipped(kind), **layouts[kind]} if kind in layouts else SUMMARY_NAMES
     return [", ".join(f"`{name}`" for name in names) + "."]
 
 
