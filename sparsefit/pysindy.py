@@ -48,8 +48,8 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
     Attributes
     ----------
     coef_ : (n_states, n_library_terms)
-    status_, reason_, certificate_, solver_status_ : as of `SparseRegressor`; so is `alpha_fraction_`
-        where there is a penalty.
+    status_, reason_, certificate_, solver_status_ : as of `SparseRegressor`
+    alpha_fraction_ : as there, where the back-end has a penalty
     """
 
     def __init__(
