@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -60,7 +58,7 @@ class Good:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def plug_ins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def plug_ins(tmp_path_factory):
     folder = tmp_path_factory.mktemp("plug")
     (folder / "well_behaved.py").write_text(GOOD)
     (folder / "leaves.py").write_text("import sys\nsys.exit(0)\n")
@@ -77,9 +75,7 @@ def plug_ins(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     plugins.cache_clear()
 
 
-def test_plug_ins_that_end_their_process_are_listed_with_it(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_plug_ins_that_end_their_process_are_listed_with_it(capfd):
     assert main(["backends", "list", "--json"]) == 0
     listed = {one["name"]: one for one in json.loads(capfd.readouterr().out)["backends"]}
     assert listed["good"]["settings"] == {"deed": ""}
@@ -106,12 +102,12 @@ TWICE = "it answers the same problem differently the second time: solve must be 
         ("raise", ["raises ZeroDivisionError: why"]),
     ],
 )
-def test_what_breaks_the_contract_is_found(deed: str, fault: list[str]) -> None:
+def test_what_breaks_the_contract_is_found(deed, fault):
     found = faults(backends.get("good", deed=deed), regular())
     assert [one[: len(other)] for one, other in zip(found, fault, strict=True)] == fault
 
 
-def test_check_of_a_plug_in(capfd: pytest.CaptureFixture[str]) -> None:
+def test_check_of_a_plug_in(capfd):
     assert main(["backends", "check", "good", "--json", "--setting", "deed=random"]) == 1
     found = json.loads(capfd.readouterr().out)
     assert (found["backend"], len(found["faults"])) == ("good", 2)
@@ -125,17 +121,13 @@ def test_check_of_a_plug_in(capfd: pytest.CaptureFixture[str]) -> None:
         (["lasso", "--timeout", "-1"], "--timeout must be"),
     ],
 )
-def test_what_ends_or_hangs_a_check_is_told_by_name(
-    capfd: pytest.CaptureFixture[str], argv: list[str], words: str
-) -> None:
+def test_what_ends_or_hangs_a_check_is_told_by_name(capfd, argv, words):
     assert main(["backends", "check", *argv]) == 2
     assert words in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(("name", "words"), [("dies", "died of SIGABRT"), ("good", "")])
-def test_a_study_of_problems_loads_a_plug_in_elsewhere(
-    tmp_path: Path, name: str, words: str
-) -> None:
+def test_a_study_of_problems_loads_a_plug_in_elsewhere(tmp_path, name, words: str):
     (tmp_path / "s.toml").write_text(
         'name = "s"\nkind = "problems"\nquestion = "?"\n[[problems]]\ngenerator = "wide"\n'
         f'[[backends]]\nname = "{name}"\n'

@@ -286,6 +286,8 @@ def test_estimator_file_is_used(capsys, flight):
         (("--set", "libary.step=1"), '--set libary unknown: did you mean "library"?'),
         (("--set", "library.lower=-1"), "lower must be"),
         (("--response-time", "-1"), "response_time must be"),
+        (("--set", "readout.scales=two"), "readout.scales has unknown value 'two'"),
+        (("--unknown", "wind", "thrust_acceleration"), "cannot both be unknown"),
         (("--estimator", "missing.json"), "cannot read missing.json"),
         (("--estimator", "flight.csv"), "not an estimator"),
         (("folder",), 'unknown file type "folder"'),

@@ -109,17 +109,3 @@ def test_json_lists_the_flows_that_the_ladder_finds(capsys, options, sizes):
     out = verbs.run(capsys, "estimate", "two.csv", *options, "--json")[1]
     scales = json.loads(out)["scales"]
     assert [round(scale["length_scale"], 1) for scale in scales] == sizes
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (
-            ("--set", "readout.scales=two"),
-            "readout.scales has unknown value 'two'",
-        ),
-        (("--unknown", "wind", "thrust_acceleration"), "cannot both be unknown"),
-    ],
-)
-def test_refusals(capsys, options, words):
-    assert words in verbs.refused(capsys, "estimate", "flight.csv", *options)

@@ -94,14 +94,8 @@ def position(rows):
             ulog({"vehicle_attitude": (LANDED, [(1, True)])}),
             "vehicle_local_position is not in the log",
         ),
-        (
-            ulog({"vehicle_local_position": (LANDED, [(1, True)])}),
-            "has no vx, vy, x, y; log it",
-        ),
-        (
-            ulog(position([(i, 0, 0, 0, 0, True, False) for i in range(5)])),
-            "in any of 5 samples",
-        ),
+        (ulog({"vehicle_local_position": (LANDED, [(1, True)])}), "has no vx, vy, x, y; log it"),
+        (ulog(position([(i, 0, 0, 0, 0, True, False) for i in range(5)])), "in any of 5 samples"),
         (ulog(position([(i, i, 0, 0, 0, False, True) for i in range(5)])), "in any of 5 samples;"),
         (ulog(position([(1 - i, i, 0, 0, 0, True, True) for i in range(2)])), "at least 3 samples"),
         (
