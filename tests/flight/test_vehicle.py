@@ -93,31 +93,6 @@ def test_a_series_is_a_straight_line_between_its_samples():
         boat.at([0.0, 2.0])
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_files_hold_every_vehicle(tmp_path, suffix):
-    vehicles = [
-        PointMassVehicle(math.inf, (1.0, 2.0), 0.3),
-        PointMassVehicle(0.5, (0.1, 0.2), 0.3, 1.1),
-        PointMassVehicle(0.5),
-    ]
-    for number, vehicle in enumerate(vehicles):
-        for thrust in (None, CIRCLE.at(TIME)):
-            plane = np.column_stack([TIME, TIME**2])
-            flight = Flight(TIME, plane, plane, vehicle, thrust=thrust)
-            path = tmp_path / f"{number}{thrust is None}{suffix}"
-            sf.write_flight(flight, path)
-            back = sf.read_flight(path)
-            assert back.vehicle == vehicle
-            if thrust is None:
-                assert back.thrust is None
-            else:
-                np.testing.assert_array_equal(back.thrust, thrust)
-    logged = Flight.from_positions(TIME, plane, vehicle, thrust=thrust)
-    path = tmp_path / f"positions{suffix}"
-    sf.write_flight(logged, path)
-    np.testing.assert_array_equal(sf.read_flight(path).thrust, thrust)
-
-
 def test_what_is_wrong_is_told_in_one_line(tmp_path):
     with pytest.raises(InputError, match="response_time"):
         PointMassVehicle(math.inf)
