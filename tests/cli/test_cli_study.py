@@ -399,21 +399,3 @@ class TestMerge:
         assert "96 of 96 cases, finished" in out
         assert Path("results/small/README.md").exists()
         assert read_cases("results/small").equals(whole)
-
-    def test_a_part_without_its_checksum_is_not_believed(self, capsys, finished):
-        shutil.copytree("results", "other")
-        os.rename("results", "mine")
-        where = Path("other/small/cases.parquet")
-        cases = read_cases(where.parent)
-        cases.loc[1, "est_length_scale"] *= 1.001
-        cases.loc[:, "seconds"] += 1.0
-        cases.to_parquet(where)
-        Path("other/small/manifest.json").unlink()  # which would find the change
-        err = refused(capsys, "study", "merge", finished, "mine", "other")
-        assert "no checksum of it stands in manifest.json" in err
-
-    def test_a_part_of_another_study(self, capsys, finished):
-        shutil.copytree("results", "other")
-        Path("small.toml").write_text(STUDY.replace("seed = 1", "seed = 2"))
-        os.rename("results", "before")
-        assert "made by a different study" in refused(capsys, "study", "merge", finished, "other")
