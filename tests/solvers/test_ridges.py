@@ -58,15 +58,6 @@ def test_an_elastic_net_of_ratio_one_is_the_lasso():
     assert np.array_equal(net.weights, sf.path(problem, backends.get("lasso"), FRACTIONS).weights)
 
 
-def test_columns_that_are_equal_share_their_weight():
-    rng = np.random.default_rng(0)
-    theta = rng.normal(size=(30, 3))
-    problem = RegressionProblem.from_arrays(theta[:, [0, 1, 2, 0]], theta[:, 0] + theta[:, 1])
-    weights = sf.fit(problem, backends.get("elastic-net")).weights.ravel()
-    assert weights[0] == pytest.approx(weights[3], rel=1e-12)
-    assert weights[0] > 0.1
-
-
 @given(seed=st.integers(0, 10**6), ratio=st.floats(0.05, 1.0), size=st.floats(0.0, 2.0))
 @settings(max_examples=12)
 def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, ratio, size):

@@ -65,20 +65,9 @@ def random_problem(seed):
 def test_pysindy_agrees(threshold, ridge, max_iterations, unbias):
     for seed in range(2):
         problem = random_problem(seed)
-        expected, warned = theirs(
-            problem,
-            threshold=threshold,
-            ridge=ridge,
-            max_iterations=max_iterations,
-            unbias=unbias,
-        )
-        found = ours(
-            problem,
-            threshold=threshold,
-            ridge=ridge,
-            max_iterations=max_iterations,
-            unbias=unbias,
-        )
+        settings = {"threshold": threshold, "ridge": ridge, "unbias": unbias}
+        expected, warned = theirs(problem, max_iterations=max_iterations, **settings)
+        found = ours(problem, max_iterations=max_iterations, **settings)
         if found.weights is None:
             assert not expected.any()
             assert "empty support" in found.reason
@@ -107,10 +96,8 @@ def test_an_empty_support_has_no_weights_and_says_why():
 def test_the_empty_support_of_one_target_is_named():
     theta = np.random.default_rng(0).normal(size=(30, 3))
     target = np.column_stack([theta[:, 0], 1e-3 * theta[:, 1]])
-    found = sf.fit(
-        RegressionProblem.from_arrays(theta, target),
-        backends.get("stlsq", mode="pysindy", threshold=0.1),
-    )
+    problem = RegressionProblem.from_arrays(theta, target)
+    found = sf.fit(problem, backends.get("stlsq", mode="pysindy", threshold=0.1))
     assert found.status == "ok"
     assert found.reason == "support of 1 is empty"
     assert not found.weights[:, 1].any()
