@@ -20,7 +20,15 @@ from tests.problems import regular
 
 PACKAGE = Path(__file__).parent / "plugin"
 NAMES = {"damped", "half-lasso", "scribbler", "chatterbox", "misshapen", "needy", "absent"}
-PIP = ("pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index")
+PIP = (
+    "pip",
+    "install",
+    "--quiet",
+    "--no-deps",
+    "--no-build-isolation",
+    "--no-index",
+    "--no-compile",
+)
 
 
 @pytest.fixture(scope="module", autouse=True)

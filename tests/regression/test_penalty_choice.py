@@ -34,11 +34,11 @@ STUDY = (
     + """\
 [[backends]]
 name = "lasso"
-alpha_fraction = ["auto", 0.3, 0.1]
+alpha_fraction = ["auto", 0.1]
 [[backends]]
 name = "group-lasso"
 alpha_fraction = "auto"
-selection = ["bic", "cross-validation"]
+selection = "bic"
 """
 )
 
@@ -137,7 +137,7 @@ def test_cross_validation_takes_the_strongest_penalty_within_a_standard_error(na
 def test_noise_without_a_signal_is_left_unexplained(name):
     rng = np.random.default_rng(5)
     chosen = []
-    for _ in range(8):
+    for _ in range(5):
         theta, target = rng.normal(size=(200, 30)), rng.normal(size=(200, 2))
         problem = RegressionProblem.from_arrays(theta, target, np.repeat(np.arange(10), 3))
         found = sf.fit(problem, auto(name))
@@ -176,7 +176,7 @@ def divergence(problem, penalty, name, alpha, **more):
     ],
 )
 def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
-    problem = regular(5, samples=9, groups=3, size=2)
+    problem = regular(5, samples=7, groups=3, size=2)
     backend = backends.get(name, alpha_fraction=fraction, **more)
     penalty = backend.penalty(problem)
     alpha = fraction * alpha_max(problem.statistics.cross, penalty)
@@ -245,11 +245,11 @@ def test_what_cannot_be_cut_up_is_refused(name):
 
 @pytest.mark.parametrize("name", ["lasso", "group-lasso", "ridge", "huber-lasso"])
 def test_a_column_that_is_zero_outside_of_a_fold_weighs_nothing_there(name):
-    theta = np.random.default_rng(0).normal(size=(40, 3))
+    theta = np.random.default_rng(0).normal(size=(20, 3))
     theta[1:, 1] = 0.0  # the second column is zero but for the first sample
     problem = RegressionProblem.from_arrays(theta, theta[:, 0] + 0.1 * theta[:, 2])
     assert sf.fit(problem, auto(name, "cross-validation")).status == "ok"
-    rest = problem.part(np.arange(1, 40))
+    rest = problem.part(np.arange(1, 20))
     alone = sf.fit(rest, backends.get(name, alpha_fraction=0.1))
     assert alone.status == "ok"
     assert not alone.weights[1].any()
@@ -299,7 +299,6 @@ def test_a_study_may_ask_for_auto_beside_numbers(tmp_path):
     study = Study.from_file(path, results=tmp_path)
     study.run(processes=1)
     cases = study.cases
-    assert len(cases) == 5
-    assert set(cases["status"]) == {"ok"}, cases["reason"].tolist()
+    assert cases["status"].tolist() == ["ok"] * 3, cases["reason"].tolist()
     asked = [json.loads(text)["alpha_fraction"] for text in cases["settings"]]
-    assert asked == ["auto", 0.3, 0.1, "auto", "auto"]
+    assert asked == ["auto", 0.1, "auto"]
