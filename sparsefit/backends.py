@@ -84,10 +84,7 @@ def load(name: str) -> type[Backend]:
 
 
 def get(name: str, **settings: Any) -> Backend:
-    """The back-end of that name with these settings.
-
-    Raises InputError on an unknown name, an unknown setting or a value out of range.
-    """
+    """The back-end of that name with these settings. Raises InputError on what is not valid."""
     backend: Backend = made(name, load(name), settings)
     return backend
 
@@ -113,8 +110,7 @@ def fit(
     ``backends.get(name, **settings)`` returns, or a name, with ``settings`` in place of defaults. A
     certificate above ``tolerance``, with all that rounding can hide of it, gives status
     ``inaccurate``, with the best solution found. An alpha_fraction of "auto" is chosen first: the
-    fit is the chosen point of the path. Raises InputError on what is not a problem, a back-end or a
-    tolerance >= 0.
+    fit is the chosen point of the path. Raises InputError on what is not valid.
     """
     posed, chosen = _posed("fit", problem, target, backend, groups, settings)
     return certified(posed, chosen, tolerance=tolerance)

@@ -12,10 +12,7 @@ if TYPE_CHECKING:
 else:
 
     class cached_property:  # noqa: N801 - named as in functools
-        """A property worked out at first use and kept in the instance's ``__dict__``.
-
-        Two threads that ask one instance at once may both work it out; the first one's is kept.
-        """
+        """A property worked out at first use, by two threads perhaps, and kept in ``__dict__``."""
 
         def __init__(self, function: Callable[[Any], Any]) -> None:
             self.function, self.name, self.__doc__ = function, function.__name__, function.__doc__

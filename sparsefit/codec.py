@@ -47,9 +47,9 @@ class Place:
 def build(kind: type[Record], values: Mapping[str, object], place: Place) -> Record:
     """The frozen dataclass ``kind`` with these values; for those left out its defaults hold.
 
-    A field that is itself a dataclass takes a mapping. Raises InputError, which names the place
-    and, for a name, the nearest valid one, on a key that is no field or is missing, on a value
-    that is not of the field's type, and on what the record refuses.
+    A field that is itself a dataclass takes a mapping. Raises InputError, which names the place and
+    the nearest valid name, on a key that is none or missing, on a value of another type, and on
+    what the record refuses.
     """
     hints = get_type_hints(kind)
     only(values, (field.name for field in fields(cast(Any, kind))), place)

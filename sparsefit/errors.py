@@ -1,8 +1,7 @@
 """What a refusal says: the exceptions, the nearest known name, and the checks of scalars.
 
-A quantity (``tau must be ... [s]; got -1``) is checked by `finite`, `positive`, `non_negative`,
-`pair` and `integer`; a setting within limits (``lasso: tolerance must be ..., not 2``) by
-`number_setting` and `one_of`.
+A quantity (``tau must be ... [s]; got -1``) is checked by `finite` to `integer`, a setting within
+limits (``lasso: tolerance must be ..., not 2``) by `number_setting` and `one_of`.
 """
 
 from __future__ import annotations

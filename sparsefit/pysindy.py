@@ -1,10 +1,9 @@
-"""Back-ends as the optimizer of a SINDy model (extra ``peers``); the other way is `backends.sindy`.
+"""Back-ends as the optimizer of a SINDy model (extra ``peers``), in place of ``pysindy.STLSQ()``.
 
     X' = Theta(X) W
 
 PySINDy makes the library Theta (m, k) and the derivatives X' (m, n), and asks an optimizer for the
-sparse W. Here that is any back-end of any design matrix, certified: `Optimizer` goes where
-``pysindy.STLSQ()`` would.
+sparse W. Here that is any back-end of any design matrix, certified.
 
 Source: Brunton, Proctor and Kutz, PNAS 113 (2016) 3932-3937; `pysindy.optimizers.BaseOptimizer`.
 """
@@ -37,13 +36,10 @@ class Optimizer(BaseOptimizer):  # type: ignore[misc]
         As of `SparseRegressor`; ``stlsq`` is PySINDy's own with PySINDy's defaults: threshold 0.1
         and ridge 0.05 on columns as they are. A back-end of groups, such as ``group-lasso``, keeps
         or drops a term for all states.
-    groups : array-like of shape (n_library_terms,), default=None
-        Labels, equal for the terms of one group; None makes each term a group of its own.
+    groups, certificate_tolerance :
+        As of `SparseRegressor`; groups of n_library_terms labels.
     unbias : bool, default=True
-        Whether the weights are fitted again by least squares on the support, as by PySINDy's own
-        optimizers. The certificate is that of the support's fit, before.
-    certificate_tolerance : float, default=1e-8
-        Up to which certificate an answer counts as proven.
+        True: weights are fitted again by least squares on the support, whose certificate stays.
 
     Attributes
     ----------
