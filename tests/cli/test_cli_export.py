@@ -85,7 +85,7 @@ def test_odd_files_and_options_are_refused(saved, tmp_path, capsys):
     path = tmp_path / "odd.json"
     for change, words in (
         ({"format": "sparsefit-estimator/2"}, "update sparsefit"),
-        ({"library": {"grid": {"lower": float("nan")}}}, "is nan"),
+        ({"library": {"grid": {"lower": float("nan")}}}, "NaN is no number"),
         ({"backend": {"name": "../../etc/passwd"}}, "no path"),
     ):
         path.write_text(json.dumps(record | change))
