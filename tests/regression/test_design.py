@@ -10,7 +10,7 @@ from scipy import sparse
 import sparsefit as sf
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.regression.design import Design, Statistics
+from sparsefit.regression.design import Design
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import regular
 
@@ -109,19 +109,6 @@ def test_a_column_that_is_constant_is_zero_when_centred() -> None:
     centred = Design(theta, 50, direction=np.full(50, 50**-0.5))
     assert centred.squares[0] == 0.0
     assert centred.rms[1] == pytest.approx(np.std(np.arange(50.0)))
-
-
-def test_sums_of_two_columns_worked_by_hand() -> None:
-    theta, target = np.array([[1.0, 1.0], [1.0, -1.0]]), np.array([[3.0], [1.0]])
-    sums = Statistics.on(Design(theta * [2.0, 5.0], 2), target)  # Z'Z/m = I, Z'y/m = (2, 1)
-    assert sums.rms == pytest.approx([2.0, 5.0])
-    assert sums.gram == pytest.approx(np.eye(2))
-    assert sums.cross[:, 0] == pytest.approx([2.0, 1.0])
-    assert sums.target_square == pytest.approx([5.0])
-    assert (sums.null_objective, sums.samples) == (2.5, 2)
-    for array in (sums.rms, sums.gram, sums.cross, sums.target_square):
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0.0
 
 
 def test_the_gram_matrix_is_formed_for_who_asks_and_by_rows_until_then() -> None:

@@ -126,12 +126,6 @@ def test_the_certificate_and_not_the_solvers_word_decides():
     assert found.certificate.value > 1e-8
 
 
-def test_a_solution_that_is_not_identifiable_keeps_its_word():
-    found = sf.fit(PROBLEM, Plain(answer=Solution(None, "unidentifiable", "empty support")))
-    assert (found.status, found.reason) == ("unidentifiable", "empty support")
-    assert np.isnan(found.weights).all()
-
-
 def test_a_path_that_the_gram_matrix_proves_never_reads_the_rows(monkeypatch):
     monkeypatch.setattr(door, "duality_gaps", lambda *_args, **_more: pytest.fail("read"))
     found = sf.path(PROBLEM, backends.get("lasso"), FRACTIONS)
@@ -192,19 +186,6 @@ def test_a_path_is_its_points_where_weights_are_not_unique(name):
         assert found.certificate.primal == pytest.approx(point.certificate.primal, abs=1e-8 * null)
 
 
-@pytest.mark.parametrize("name", ["lasso", "group-lasso"])
-def test_a_path_takes_fractions_in_any_order(name):
-    order = (0.2, 0.9, 0.01, 0.5, 0.05)
-    descending = sf.path(PROBLEM, backends.get(name), FRACTIONS)
-    shuffled = sf.path(PROBLEM, backends.get(name), order)
-    assert shuffled.alpha_fractions.tolist() == list(order)
-    assert shuffled.alpha_max == descending.alpha_max
-    for fraction, found in zip(order, shuffled.fits, strict=True):
-        expected = descending.fits[FRACTIONS.index(fraction)]
-        assert found.backend.alpha_fraction == fraction
-        assert np.array_equal(found.weights, expected.weights)
-
-
 def test_a_path_of_repeated_fractions_or_of_one():
     along = sf.path(PROBLEM, backends.get("lasso"), [0.3, 0.3])
     assert along.weights[0] == pytest.approx(along.weights[1], rel=1e-12)
@@ -247,15 +228,6 @@ def test_what_is_not_a_problem_or_a_back_end_is_refused():
         sf.fit(PROBLEM, 3)
     with pytest.raises(InputError, match=r"not its class: Lasso\(\)"):
         sf.fit(PROBLEM, backends.load("lasso"))
-
-
-def test_a_back_end_may_be_named():
-    named, made = sf.fit(PROBLEM, "group-lasso"), sf.fit(PROBLEM, backends.get("group-lasso"))
-    np.testing.assert_array_equal(named.weights, made.weights)
-    assert named.backend == made.backend
-    assert sf.path(PROBLEM, "lasso", FRACTIONS).fits[0].backend.name == "lasso"
-    with pytest.raises(InputError, match='did you mean "lasso"'):
-        sf.fit(PROBLEM, "laso")
 
 
 @pytest.mark.parametrize("name", ["lasso", "group-lasso"])

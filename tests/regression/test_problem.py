@@ -24,13 +24,6 @@ THETA, TARGET = np.arange(1.0, 9.0).reshape(4, 2), np.ones(4)
         (np.ones((0, 2)), np.ones(0), "must not be empty"),
         (np.ones((4, 0)), TARGET, "must not be empty"),
         (THETA, np.ones((4, 0)), "must not be empty"),
-        (THETA * [1.0, 0.0], TARGET, "1.* is zero in every sample"),
-        (THETA * [1e-200, 1.0], TARGET, "0.* is zero in every sample"),
-        (THETA * [1.0, np.nan], TARGET, "1.* NaN"),
-        (THETA * [np.inf, 1.0], TARGET, "0.* infinity"),
-        (THETA * [1e200, 1.0], TARGET, r"values above 1e\+140"),
-        (THETA, TARGET * np.nan, "target holds NaN"),
-        (THETA, TARGET * np.inf, "target holds NaN"),
         ([["a", "b"]], [1.0], "real numbers"),
         ([[1.0, 2.0], [3.0]], [1.0, 2.0], "real numbers"),
         (THETA + 1j, TARGET, "complex"),
@@ -60,7 +53,8 @@ def test_the_message_names_the_column_and_counts_the_others():
         ({"names": "ab"}, "names must be a list"),
         ({"names": 4}, "names must be a list"),
         ({"names": ["only one"]}, "one name per column, 2 of them"),
-        ({"subgroups": [0, 0], "groups": [0, 1]}, "one of them spans two groups"),
+        ({"subgroups": [0, 0], "groups": [0, 1]}, "must lie within groups.*spans two groups"),
+        ({"subgroups": [0, 1, 2]}, "subgroups must have one label per column"),
     ],
 )
 def test_labels_that_do_not_fit_are_refused(labels, words):
@@ -92,7 +86,11 @@ def test_statistics_are_the_direct_formulas():
     assert s.gram == pytest.approx(z.T @ z / 60)
     assert s.cross == pytest.approx(z.T @ problem.target / 60)
     assert s.target_square == pytest.approx(np.mean(problem.target**2, axis=0))
+    assert s.null_objective == pytest.approx(s.target_square.sum() / 2)
     assert problem.statistics is s  # formed once
+    for array in (s.rms, s.gram, s.cross, s.target_square):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
 
 
 @pytest.mark.parametrize("size", [1, 7, 60])
