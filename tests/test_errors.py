@@ -27,24 +27,10 @@ def test_errors_are_caught_as_their_builtin_kinds():
     assert issubclass(MissingExtra, SparsefitError)
 
 
-def test_errors_survive_the_way_back_from_another_process():
-    assert str(pickle.loads(pickle.dumps(InputError("cause; remedy")))) == "cause; remedy"
-
-
-def test_unknown_names_the_nearest():
-    error = unknown("back-end", "laso", ["lasso", "stlsq"])
-    assert str(error) == 'unknown back-end "laso": did you mean "lasso"? (known: lasso, stlsq)'
-
-
-def test_unknown_without_a_near_name_lists_what_is_known():
-    assert str(unknown("back-end", 7, ["lasso"])) == 'unknown back-end "7" (known: lasso)'
-
-
-def test_unknown_takes_an_iterator():
-    assert "(known: lasso)" in str(unknown("back-end", "zzz", iter(["lasso"])))
-
-
-def test_a_suggestion_ignores_case_and_lists_what_is_known_where_nothing_is_near():
+def test_an_unknown_name_is_told_with_the_nearest_or_with_all_that_are_known():
+    words = 'unknown back-end "laso": did you mean "lasso"? (known: lasso, stlsq)'
+    assert str(unknown("back-end", "laso", ["lasso", "stlsq"])) == words
+    assert str(unknown("back-end", 7, iter(["lasso"]))) == 'unknown back-end "7" (known: lasso)'
     assert suggestion("Time", ["time", "x"]) == ': did you mean "time"?'
     assert suggestion("pressure", ["x", "time"]) == " (known: time, x)"
 
@@ -90,9 +76,6 @@ def test_pair():
 def test_what_is_no_pair_is_refused(value):
     with pytest.raises(InputError, match="two numbers"):
         pair("a", value, "m")
-
-
-def test_pair_names_the_bad_half():
     with pytest.raises(InputError, match=r"a\[1\] must be a finite number \[m\]; got nan"):
         pair("a", (1.0, math.nan), "m")
 

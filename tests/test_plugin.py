@@ -56,6 +56,9 @@ def test_it_is_a_back_end_like_any_other(installed):
     rows = np.vstack([problem.theta, augmented])
     target = np.vstack([problem.target, np.zeros((problem.columns, 2))])
     assert found.status == "ok"
+    assert backends.settings_of(found.backend) == {"amount": 0.25}
+    estimator = sf.Estimator(backend="damped")
+    assert sf.Estimator.from_json(estimator.to_json()) == estimator
     assert found.weights == pytest.approx(np.linalg.lstsq(rows, target)[0], rel=1e-9)
     regressor = SparseRegressor("damped", fit_intercept=False)
     regressor.fit(problem.theta, problem.target)

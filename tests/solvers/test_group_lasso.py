@@ -1,53 +1,17 @@
-"""The group-LASSO against celer, and its two ways to solve."""
+"""The group-LASSO target by target, on few groups, and by two kernels."""
 
 import numpy as np
 import pytest
-from celer import GroupLasso
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
-from tests.problems import flight_problem, regular
+from tests.problems import regular
 
 
 def single(problem, target=0):
     return RegressionProblem.from_arrays(problem.theta, problem.target[:, [target]], problem.groups)
-
-
-@pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("fraction", [0.5, 0.2, 0.1])
-@pytest.mark.parametrize("target", [0, 1])
-@pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_celer_agrees_on_flights(noise, target, fraction):
-    problem = single(flight_problem(velocity_noise=noise), target)
-    backend = backends.get("group-lasso", alpha_fraction=fraction)
-    found = sf.fit(problem, backend)
-    s, null = problem.statistics, problem.statistics.null_objective
-    penalty = backend.penalty(problem)
-    alpha = fraction * alpha_max(s.cross, penalty)
-    z, y = problem.theta / s.rms, problem.target[:, 0]
-    groups = [np.flatnonzero(problem.groups == g).tolist() for g in range(len(penalty.weights))]
-    peer = GroupLasso(groups, alpha=alpha, fit_intercept=False, tol=1e-9, max_iter=200)
-    scaled = peer.fit(np.asfortranarray(z), y).coef_
-    other = np.sum((y - z @ scaled) ** 2) / (2 * len(y)) + alpha * penalty.norm(scaled[:, None])
-    assert (found.status, found.repaired) == ("ok", False)
-    assert found.certificate.primal <= other + 1e-12 * null
-    assert other - found.certificate.primal <= 1e-6 * null
-
-
-@given(seed=st.integers(0, 10**6), fraction=st.floats(1e-4, 1.0), separate=st.booleans())
-@settings(max_examples=80)
-def test_every_fit_is_certified_and_whole_groups_are_in_or_out(seed, fraction, separate):
-    problem = regular(seed, samples=20 + seed % 30)
-    backend = backends.get("group-lasso", alpha_fraction=fraction, separate=separate)
-    found = sf.fit(problem, backend)
-    assert (found.status, found.repaired) == ("ok", False)
-    on = (found.weights != 0).reshape(4, 3, 2)
-    within = (1,) if separate else (1, 2)
-    assert np.array_equal(on.any(axis=within), on.all(axis=within))
 
 
 def test_separate_is_one_problem_per_target_at_a_common_penalty():

@@ -1,13 +1,17 @@
-"""Laws of all back-ends that need no more than a table: refused settings, degenerate problems."""
+"""Laws of all back-ends that need no more than a table: settings, peers, optimality, degeneracy."""
 
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
-from tests.problems import DEGENERATE_KINDS, degenerate
+from sparsefit.solvers.registry import solver
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
 FRACTION = ("lasso", "group-lasso", "ridge", "adaptive-lasso", "adaptive-group-lasso", "group-mcp")
 REFUSED = [
@@ -59,13 +63,13 @@ def test_bad_settings_are_refused_in_a_line(name, key, value, words):
 
 
 @pytest.mark.parametrize("kind", DEGENERATE_KINDS)
-@pytest.mark.parametrize(("name", "settings", "seeds"), CONVEX)
-def test_exact_paths_agree_with_the_referee_on_degenerate_problems(name, settings, seeds, kind):
+@pytest.mark.parametrize(("name", "more", "seeds"), CONVEX)
+def test_exact_paths_agree_with_the_referee_on_degenerate_problems(name, more, seeds, kind):
     for seed in seeds:
         problem = degenerate(kind, seed)
         null = problem.statistics.null_objective
-        exact = sf.path(problem, backends.get(name, **settings), [1.0, 0.3, 0.03, 1e-3])
-        reference = backends.get(name, solver="clarabel", **settings)
+        exact = sf.path(problem, backends.get(name, **more), [1.0, 0.3, 0.03, 1e-3])
+        reference = backends.get(name, solver="clarabel", **more)
         assert exact.repaired == 0
         for fit, conic in zip(
             exact.fits, sf.path(problem, reference, exact.alpha_fractions).fits, strict=True
@@ -76,3 +80,60 @@ def test_exact_paths_agree_with_the_referee_on_degenerate_problems(name, setting
             slack = (1e-8 + conic.certificate.value) * null
             assert fit.certificate.primal <= conic.certificate.primal + 1e-8 * null
             assert fit.certificate.primal == pytest.approx(conic.certificate.primal, abs=slack)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+@pytest.mark.parametrize("length_scale", [4.2, 2.6])
+@pytest.mark.parametrize(
+    ("name", "more", "peer", "fractions"),
+    [
+        ("lasso", {}, "scikit-learn-cd", [0.3, 0.1, 0.03]),
+        ("group-lasso", {"separate": True}, "celer", [0.5, 0.2, 0.1]),
+    ],
+)
+def test_peers_agree_on_flights(name, more, peer, fractions, length_scale, noise):
+    problem = flight_problem(length_scale, velocity_noise=noise)
+    backend = backends.get(name, **more)
+    design, target, penalty = problem.design, problem.target, backend.penalty(problem)
+    along, null = sf.path(problem, backend, fractions), problem.statistics.null_objective
+    assert along.repaired == 0
+    others = solver(peer).path(design, target, penalty, along.alphas, 1e-9)
+    for fit, scaled in zip(along.fits, others, strict=True):
+        assert fit.status == "ok"
+        residual = target - design.predict(scaled)
+        other = np.sum(residual**2) / (2 * len(target)) + fit.alpha * penalty.value(scaled)
+        assert fit.certificate.primal <= other + 1e-12 * null
+        assert other - fit.certificate.primal <= 1e-6 * null
+
+
+@pytest.mark.parametrize(
+    ("name", "lowest", "precision"),
+    [("lasso", 1e-6, 1e-6), ("group-lasso", 1e-4, 2e-3), ("sparse-group-lasso", 1e-3, 2e-3)],
+)
+@given(
+    seed=st.integers(0, 10**6),
+    power=st.floats(0.0, 1.0),
+    separate=st.booleans(),
+    ratio=st.floats(0.01, 0.99),
+)
+@settings(max_examples=80)
+def test_every_fit_is_certified_and_the_prox_of_a_step_from_it(
+    name, lowest, precision, seed, power, separate, ratio
+):
+    problem = regular(seed, samples=20 + seed % 30)
+    more = {} if name == "lasso" else {"separate": separate}
+    more |= {"l1_ratio": ratio} if name == "sparse-group-lasso" else {}
+    backend = backends.get(name, alpha_fraction=lowest**power, **more)
+    found, s = sf.fit(problem, backend), problem.statistics
+    assert (found.status, found.repaired) == ("ok", False)
+    values = found.weights * s.rms[:, None]
+    step = values + s.cross - s.gram @ values
+    moved = np.abs(backend.penalty(problem).prox(step, found.alpha) - values)
+    on = (values != 0).reshape(4, 3, 2)
+    used = np.repeat(on.any(axis=(1, 2)), 3)
+    assert moved[used].max(initial=0.0) <= precision * found.alpha
+    assert moved[~used].max(initial=0.0) <= min(precision, 1e-5) * found.alpha
+    if name == "group-lasso":  # whole groups are in or out
+        within = (1,) if separate else (1, 2)
+        assert np.array_equal(on.any(axis=within), on.all(axis=within))

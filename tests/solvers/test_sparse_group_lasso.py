@@ -5,15 +5,12 @@ import dataclasses
 import cvxpy as cp
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.errors import InputError
 from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
-from tests.problems import orthonormal, regular
+from tests.problems import regular
 
 FRACTIONS = [0.7, 0.2, 0.05]
 UNEQUAL = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
@@ -69,48 +66,6 @@ def test_its_ends_are_the_group_lasso_and_the_lasso(ratio, name, separate):
         assert along.weights == pytest.approx(end.weights, abs=1e-5)
 
 
-def test_orthonormal_columns_are_shrunk_one_by_one_and_then_together():
-    problem = orthonormal(1)
-    backend = backends.get("sparse-group-lasso", alpha_fraction=0.2)
-    s, found = problem.statistics, sf.fit(problem, backend)
-    alpha = 0.2 * alpha_max(s.cross, backend.penalty(problem))
-    for g in range(2):
-        on = problem.groups == g
-        soft = np.sign(s.cross[on]) * np.maximum(np.abs(s.cross[on]) - 0.5 * alpha, 0)
-        expected = soft * max(0.0, 1 - 0.5 * alpha / np.linalg.norm(soft))
-        assert (found.weights * s.rms[:, None])[on] == pytest.approx(expected, abs=1e-6)
-
-
-def test_alpha_max_by_hand():
-    # C = (3, 4): soft(C, tau/2) has the norm tau/2 where (3 - tau/2)^2 + (4 - tau/2)^2 = tau^2/4,
-    # so with t = tau/2: t^2 - 14 t + 25 = 0, t = 7 - sqrt(24).
-    theta = np.array([[1.0, 1.0], [1.0, -1.0]])
-    problem = RegressionProblem.from_arrays(theta, theta @ [3.0, 4.0], [0, 0])
-    penalty = backends.get("sparse-group-lasso").penalty(problem)
-    expected = 2 * (7 - np.sqrt(24))
-    assert alpha_max(problem.statistics.cross, penalty) == pytest.approx(expected, rel=1e-14)
-
-
-@given(seed=st.integers(0, 10**6), fraction=st.floats(1e-3, 1.0), ratio=st.floats(0.01, 0.99))
-@settings(max_examples=12)
-def test_every_fit_obeys_the_optimality_conditions_of_its_blocks(seed, fraction, ratio):
-    problem = regular(seed, samples=20 + seed % 30)
-    backend = backends.get("sparse-group-lasso", alpha_fraction=fraction, l1_ratio=ratio)
-    found, s = sf.fit(problem, backend), problem.statistics
-    assert (found.status, found.repaired) == ("ok", False)
-    penalty, values = backend.penalty(problem), found.weights * s.rms[:, None]
-    alpha = fraction * alpha_max(s.cross, penalty)
-    slope = s.cross - s.gram @ values
-    for g in range(4):
-        on = problem.groups == g
-        pull = np.sign(slope[on]) * np.maximum(np.abs(slope[on]) - ratio * alpha, 0.0)
-        norm, limit = np.linalg.norm(values[on]), (1 - ratio) * alpha
-        if norm == 0:
-            assert np.linalg.norm(pull) <= limit + 1e-5 * alpha
-        else:
-            assert pull == pytest.approx(limit * values[on] / norm, abs=2e-3 * alpha)
-
-
 def test_a_path_that_is_cut_short_is_reported_as_incomplete(monkeypatch):
     monkeypatch.setattr("sparsefit.solvers.newton.OUTER", 1)
     problem = nested()
@@ -118,10 +73,3 @@ def test_a_path_that_is_cut_short_is_reported_as_incomplete(monkeypatch):
     assert backend.solve(problem).status == "inaccurate"
     found = sf.fit(problem, backend)  # the referee repairs it
     assert (found.status, found.repaired) == ("ok", True)
-
-
-def test_subgroups_that_span_groups_are_refused():
-    with pytest.raises(InputError, match="must lie within groups"):
-        nested(subgroups=[0] * 2 + WAVES[2:])
-    with pytest.raises(InputError, match="subgroups must have one label per column"):
-        nested(subgroups=[0, 1])

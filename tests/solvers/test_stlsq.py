@@ -8,12 +8,14 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
+from sparsefit.errors import MissingExtra
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers import least_squares
 from tests.problems import flight_problem, regular
 
 
 def fixture():
-    """The problem of the measured constants: 40 samples, 4 columns, 2 targets."""
+    """40 samples, 4 columns, 2 targets: each has one weight of note and one below 0.1."""
     rng = np.random.default_rng(7)
     theta = rng.normal(size=(40, 4))
     weights = np.array([[1.5, 0.0, -0.08, 0.0], [0.0, 0.05, 0.0, 2.0]])
@@ -33,21 +35,6 @@ def theirs(problem, *, max_iterations=20, ridge=0.05, **settings):
         warnings.simplefilter("always")
         optimizer.fit(problem.theta.copy(), problem.target.copy())
     return optimizer.coef_.T, any("did not converge" in str(w.message) for w in caught)
-
-
-@pytest.mark.parametrize(
-    ("settings", "first", "second"),
-    [
-        ({}, 1.4889852191527009, 1.9978501732457075),
-        ({"unbias": False}, 1.486104590762076, 1.9953228277518413),
-        ({"unbias": False, "max_iterations": 1}, 1.498719743401451, 1.999214032571171),
-    ],
-)
-def test_the_measured_constants(settings, first, second):
-    expected = np.zeros((4, 2))
-    expected[0, 0], expected[3, 1] = first, second
-    assert ours(fixture(), **settings).weights == pytest.approx(expected, rel=1e-10, abs=0)
-    assert theirs(fixture(), threshold=0.1, **settings)[0] == pytest.approx(expected, rel=1e-10)
 
 
 def random_problem(seed):
@@ -76,6 +63,20 @@ def test_pysindy_agrees(threshold, ridge, max_iterations, unbias):
         assert np.abs(found.weights - expected).max() <= 1e-10 * max(np.abs(expected).max(), 1.0)
         if warned:
             assert found.iterations == max_iterations
+
+
+def test_pysindys_own_is_a_back_end_whose_support_is_certified(monkeypatch):
+    problem, backend = fixture(), backends.get("pysindy", threshold=0.1)
+    found = sf.fit(problem, backend)
+    assert (found.status, found.certificate.kind) == ("ok", "fixed_point"), found.reason
+    assert [np.flatnonzero(w).tolist() for w in found.weights.T] == [[0], [3]]
+    assert np.allclose(found.weights, ours(problem).weights, atol=1e-10)
+    assert not backend.next_weights(problem, np.ones((4, 2))).all()  # some are below it
+    empty = sf.fit(problem, backends.get("pysindy", threshold=100.0))
+    assert empty.status == "unidentifiable"
+    monkeypatch.setattr(least_squares, "find_spec", lambda _: None)
+    with pytest.raises(MissingExtra, match=r"sparsefit\[peers\]"):
+        backends.get("pysindy")
 
 
 def test_ties_are_kept():
