@@ -244,10 +244,21 @@ def errors(args: argparse.Namespace) -> Reply:
 
 def show(args: argparse.Namespace) -> Reply:
     """Print the tables of a study, also unfinished; or run one case again."""
-    if args.case is not None:
-        return _show_case(args)
     from sparsefit.study import page, tables
 
+    if args.case is not None:  # its picture is written, its numbers beside the stored
+        study, flown = read_study(args), None
+        if study.kind == "flights":
+            flown = Path(args.output or study.folder / f"case-{args.case}.html")
+        if args.output is not None:
+            if flown is None:
+                raise InputError("--output: there is no flight to draw in a study of solvers")
+            endings = (".html", ".svg", ".png")
+            terminal.check_output(args.output, force=args.force, endings=endings)
+        table = page.write_case(study, args.case, flown)
+        record = {"case": args.case, "picture": flown and str(flown), **table.record()}
+        written = [f"written to {flown}"] if flown else []
+        return Reply(record, [table.to_text(terminal_width()), *written])
     study, _ = stored(args, whole=False)
     cases, width = study.cases, terminal_width()
     if not args.table and not args.json:
@@ -255,23 +266,6 @@ def show(args: argparse.Namespace) -> Reply:
     made = tables.tables(study, cases, tuple(args.table))
     texts = (table.to_text(width) for table in made.values())
     return Reply({name: table.record() for name, table in made.items()}, texts)
-
-
-def _show_case(args: argparse.Namespace) -> Reply:
-    """Run one case again, write its picture, and print its numbers beside the stored ones."""
-    from sparsefit.study.page import write_case
-
-    study, flown = read_study(args), None
-    if study.kind == "flights":
-        flown = Path(args.output or study.folder / f"case-{args.case}.html")
-    if args.output is not None:
-        if flown is None:
-            raise InputError("--output: there is no flight to draw in a study of solvers")
-        terminal.check_output(args.output, force=args.force, endings=(".html", ".svg", ".png"))
-    table = write_case(study, args.case, flown)
-    record = {"case": args.case, "picture": flown and str(flown), **table.record()}
-    written = [f"written to {flown}"] if flown else []
-    return Reply(record, [table.to_text(terminal_width()), *written])
 
 
 def report(args: argparse.Namespace) -> Reply:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.flight import Flight
-from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import FlowField
 from sparsefit.plot.style import COLOURS, GREY, STYLES, labels, legend, logarithmic, panels, styled
 
 if TYPE_CHECKING:
@@ -20,18 +20,11 @@ if TYPE_CHECKING:
     from matplotlib.image import AxesImage
 
     from sparsefit.estimator import Estimate, Estimator
-
-
-class Field(Protocol):
-    """Anything with the velocity (..., 2) [m/s] of the air at x, y [m] and time t [s]."""
-
-    def velocity(self, x: Array, y: Array, t: float, /) -> Array:
-        """Return the velocity of the air."""
-        ...
+    from sparsefit.rows import Samples
 
 
 def vorticity(
-    flow: Field, position: Array, time: float = 0.0, points: int = 160
+    flow: FlowField, position: Array, time: float = 0.0, points: int = 160
 ) -> tuple[tuple[float, float, float, float], Array]:
     """Return the edges (left, right, bottom, top) [m] of a map around positions (m, 2) [m], and
     there dv_y/dx - dv_x/dy [1/s] of the flow at a time [s], rows along y."""
@@ -48,7 +41,7 @@ def vorticity(
 
 def draw_map(
     axes: Axes,
-    flow: Field | None,
+    flow: FlowField | None,
     flights: Sequence[Flight],
     length_scale: float = np.nan,
     drift: tuple[float, float] = (0.0, 0.0),
@@ -85,7 +78,7 @@ def draw_map(
     return shades
 
 
-def draw_flow(flow: Field, *flights: Flight, length_scale: float = np.nan) -> Figure:
+def draw_flow(flow: FlowField, *flights: Flight, length_scale: float = np.nan) -> Figure:
     """Return a picture of flights over the vorticity of a flow."""
 
     def draw() -> Figure:
@@ -119,7 +112,7 @@ def draw_estimate(
     """
 
     def draw() -> Figure:
-        figure, ((track, weights), (residual, spectrum)) = panels(2, 2, height=5.9)
+        figure, ((track, weights), (residual, power)) = panels(2, 2, height=5.9)
         flow = estimate.flow
         drift = estimate.drift or (0.0, 0.0)
         shades = draw_map(track, flow, flights, estimate.length_scale, drift)
@@ -129,20 +122,18 @@ def draw_estimate(
             turn = ", clockwise" if flights[0].frame == "NED" else ""
             beside = track.inset_axes((1.03, 0.0, 0.04, 1.0))  # as high as the map
             figure.colorbar(shades, cax=beside, label=f"vorticity{turn} [1/s]")
-        _draw_weights(weights, estimate, truth)
-        _draw_left(residual, spectrum, estimate, estimator, flights)
-        name = labels([title], 90)[title]
-        figure.suptitle(f"{name}\n{_answer(estimate)}", fontsize=9)
+        draw_weights(weights, estimate, truth)
+        samples, air, less = along_track(estimate, estimator, flights[0])
+        draw_residual(residual, samples, air, less, " of the first flight" * (len(flights) > 1))
+        draw_spectrum(power, samples, air, less, estimate.length_scale)
+        error = estimate.uncertainty
+        speed = _quantity(estimate.mean_velocity, error.mean_velocity if error else math.nan)
+        length = _quantity(estimate.length_scale, error.length_scale if error else math.nan)
+        said = f"U0 = {speed} m/s, L = {length} m: {estimate.status}"
+        figure.suptitle(f"{labels([title], 90)[title]}\n{said}", fontsize=9)
         return figure
 
     return styled(draw)
-
-
-def _answer(estimate: Estimate) -> str:
-    error = estimate.uncertainty
-    speed = _quantity(estimate.mean_velocity, error.mean_velocity if error else math.nan)
-    length = _quantity(estimate.length_scale, error.length_scale if error else math.nan)
-    return f"U0 = {speed} m/s, L = {length} m: {estimate.status}"
 
 
 def _quantity(value: float, spread: float) -> str:
@@ -155,7 +146,7 @@ def _quantity(value: float, spread: float) -> str:
     return f"{value:.{places}f} ± {spread:.{places}f}"
 
 
-def _draw_weights(axes: Axes, estimate: Estimate, truth: Sequence[float]) -> None:
+def draw_weights(axes: Axes, estimate: Estimate, truth: Sequence[float]) -> None:
     """Draw the weight of each candidate length scale, and the true and estimated scales."""
     by_scale = estimate.weights_by_scale
     axes.set_title("weight of each length scale" if by_scale else "no weights")
@@ -183,33 +174,41 @@ def _draw_weights(axes: Axes, estimate: Estimate, truth: Sequence[float]) -> Non
         axes.legend(loc="best")
 
 
-def _draw_left(
-    axes: Axes,
-    power: Axes,
-    estimate: Estimate,
-    estimator: Estimator,
-    flights: Sequence[Flight],
-) -> None:
-    """Draw the velocity of the air less that of the flow in time, and the spectra of both.
-
-    A residual as flat as the sensors' noise has no structure left; the line marks the frequency at
-    which the vehicle meets cells, speed over 2 L.
-    """
+def along_track(
+    estimate: Estimate, estimator: Estimator, flight: Flight
+) -> tuple[Samples, Array, Array | None]:
+    """Return the samples of a flight, the velocity (m, 2) [m/s] of the air there, and that less the
+    flow's, where there is one; by the vehicle as it was believed, with what was estimated of it."""
     derivative: Any = estimator.derivative  # a setting that the estimator has resolved
-    samples = derivative(flights[0])
-    air = samples.flow_velocity(_vehicle(flights[0].vehicle, estimate))
-    residual, flow = air, estimate.flow
-    if flow is not None:
-        x, y = samples.position.T
-        residual = air - flow.velocity(x, y, samples.time)
-    several = " of the first flight" if len(flights) > 1 else ""
-    words = "residual" if flow is not None else "velocity of the air"
-    axes.set_title(f"{words}{several}, {'less the flow' if flow is not None else 'no flow found'}")
+    samples: Samples = derivative(flight)
+    own = estimate.flights[0] if estimate.flights else estimate
+    estimated = {name: getattr(own, name) for name in ("response_time", "drag", "thrust_scale")}
+    freed: dict[str, Any] = {k: value for k, value in estimated.items() if math.isfinite(value)}
+    if own.thrust_acceleration:
+        freed["thrust_acceleration"] = own.thrust_acceleration
+    air = samples.flow_velocity(replace(flight.vehicle, **freed))
+    if estimate.flow is None:
+        return samples, air, None
+    x, y = samples.position.T
+    return samples, air, air - estimate.flow.velocity(x, y, samples.time)
+
+
+def _gaps(time: Array) -> IntArray:
+    """Return the places of the samples behind a gap."""
+    steps = np.diff(time)
+    return np.flatnonzero(steps > 3.0 * np.median(steps)) + 1
+
+
+def draw_residual(
+    axes: Axes, samples: Samples, air: Array, less: Array | None, several: str = ""
+) -> None:
+    """Draw in time the velocity of the air, less that of a flow where there is one."""
+    words = "velocity of the air" if less is None else "residual"
+    axes.set_title(f"{words}{several}, {'no flow found' if less is None else 'less the flow'}")
     scale, unit = axis_unit(float(np.abs(samples.time).max()), "s")
-    steps = np.diff(samples.time)
-    cuts = np.flatnonzero(steps > 3.0 * np.median(steps)) + 1  # no line over a gap
-    time, shown = np.insert(samples.time, cuts, np.nan), np.insert(residual, cuts, np.nan, axis=0)
-    for place, name in enumerate("xy"):
+    residual, gaps = air if less is None else less, _gaps(samples.time)
+    time, shown = np.insert(samples.time, gaps, np.nan), np.insert(residual, gaps, np.nan, axis=0)
+    for place, name in enumerate("xy"):  # no line over a gap
         axes.plot(time / scale, shown[:, place], color=COLOURS[place], lw=0.7, label=name)
     low, high = float(residual.min()), float(residual.max())
     if high > low:
@@ -217,46 +216,42 @@ def _draw_left(
     axes.legend(loc="upper right", ncols=2)
     axes.set_xlabel(f"time [{unit}]")
     axes.set_ylabel(f"{words} [m/s]")
-    pieces = np.split(np.arange(len(samples.time)), cuts)
-    piece = max(pieces, key=len)
-    power.set_title("spectrum")
+
+
+def draw_spectrum(
+    axes: Axes, samples: Samples, air: Array, less: Array | None, length_scale: float
+) -> None:
+    """Draw the spectra of the velocity of the air and of what a flow leaves of it.
+
+    A residual as flat as the sensors' noise has no structure left; the line marks the frequency at
+    which the vehicle meets cells, speed over 2 L.
+    """
+    axes.set_title("spectrum")
+    piece = max(np.split(np.arange(len(air)), _gaps(samples.time)), key=len)
     if len(piece) < 64:
-        power.text(0.5, 0.5, "too few samples", transform=power.transAxes, ha="center")
-        power.set_axis_off()
+        axes.text(0.5, 0.5, "too few samples", transform=axes.transAxes, ha="center")
+        axes.set_axis_off()
         return
     step = float(np.median(np.diff(samples.time[piece])))
     frequency, whole = spectrum(air[piece], step)
-    power.loglog(frequency, whole.sum(axis=1), color=GREY, lw=0.9, label="velocity of the air")
+    axes.loglog(frequency, whole.sum(axis=1), color=GREY, lw=0.9, label="velocity of the air")
     lowest = 1e-5 * float(whole.max())
-    if flow is not None:
-        rest = spectrum(residual[piece], step)[1]
+    if less is not None:
+        rest = spectrum(less[piece], step)[1]
         lowest = max(1e-5 * float(rest.max()), lowest)
         for place, name in enumerate("xy"):
-            power.loglog(frequency, rest[:, place], color=COLOURS[place], lw=0.8,
-                         label=f"residual {name}")  # fmt: skip
-    speed = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1))))
-    meets = speed / (2.0 * estimate.length_scale)
+            axes.loglog(frequency, rest[:, place], color=COLOURS[place], lw=0.8,
+                        label=f"residual {name}")  # fmt: skip
+    meets = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1)))) / (2.0 * length_scale)
     if frequency[0] < meets < frequency[-1]:
-        power.axvline(meets, color=COLOURS[2], ls=":", lw=1.6, label="cells")
-    power.set_ylim(max(power.get_ylim()[0], lowest))
-    power.set_xlim(frequency[0], frequency[-1])
-    logarithmic(power.xaxis, *power.get_xlim())
-    logarithmic(power.yaxis, *power.get_ylim())
-    power.set_xlabel("frequency [Hz]")
-    power.set_ylabel("power [(m/s)²/Hz]")
-    power.legend(loc="best")
-
-
-def _vehicle(believed: PointMassVehicle, estimate: Estimate) -> PointMassVehicle:
-    """Return the vehicle as it was believed to be, with what was estimated of it."""
-    own = estimate.flights[0] if estimate.flights else estimate
-    freed: dict[str, float] = {
-        name: getattr(own, name)
-        for name in ("response_time", "drag", "thrust_scale")
-        if math.isfinite(getattr(own, name))
-    }
-    thrust = own.thrust_acceleration or believed.thrust_acceleration
-    return replace(believed, **freed, thrust_acceleration=thrust)
+        axes.axvline(meets, color=COLOURS[2], ls=":", lw=1.6, label="cells")
+    axes.set_ylim(max(axes.get_ylim()[0], lowest))
+    axes.set_xlim(frequency[0], frequency[-1])
+    logarithmic(axes.xaxis, *axes.get_xlim())
+    logarithmic(axes.yaxis, *axes.get_ylim())
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("power [(m/s)²/Hz]")
+    axes.legend(loc="best")
 
 
 def spectrum(values: Array, step: float) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,15 +29,16 @@ from sparsefit.study.table import Table, significant
 class Comparison:
     """The cases that both runs have, row by row, and how many only one has.
 
-    cases: `change`, the largest relative change of U0, L_w and tau_w, infinite where one run has no
-    number, of problems that of the time on the wall; `in status`, whether the status is another;
-    `changed`, whether anything is that should not be; `lost`, whether an answer is no more.
+    sides: the cases of either run. cases: `change`, the largest relative change of U0, L_w and
+    tau_w, infinite where one run has no number, of problems that of the time on the wall;
+    `in status`, whether the status is another; `changed`, whether anything is that should not be;
+    `lost`, whether an answer is no more.
     """
 
     names: tuple[str, str]
+    sides: list[pd.DataFrame]
     cases: pd.DataFrame
     only: tuple[int, int]
-    tables: dict[str, Table]
 
     @property
     def differs(self) -> bool:
@@ -46,7 +48,7 @@ class Comparison:
     @property
     def worse(self) -> bool:
         """Whether a case lost its answer, or a setting or solver is worse beyond its interval."""
-        verdicts = self.tables["effects"].frame["verdict"]
+        verdicts = self.effects.frame["verdict"]
         return bool(self.cases["lost"].any()) or "worse" in set(verdicts)
 
     @property
@@ -59,6 +61,67 @@ class Comparison:
             f"{self.cases['in status'].sum()} of them in status; the largest change is "
             f"{significant(_largest(self.cases))} %{''.join(only)}."
         )
+
+    @property
+    def tables(self) -> dict[str, Table]:
+        """The tables of settings, or solvers, and of changed cases."""
+        return {"effects": self.effects, "changes": self.changes}
+
+    @property
+    def changes(self) -> Table:
+        """The cases that changed, the largest change first."""
+        first, second = self.sides
+        label = "solver" if "objective" in first else "label"
+        frame = pd.DataFrame({
+            "case": first["case_id"], label: first[label],
+            f"status in {self.names[0]}": first["status"],
+            f"status in {self.names[1]}": second["status"],
+            "change [%]": 100.0 * self.cases["change"],
+        })[self.cases["changed"]]  # fmt: skip
+        frame.attrs["title"] = "Cases that changed"
+        return Table.of(frame.sort_values("change [%]", ascending=False, kind="stable"))
+
+    @cached_property
+    def effects(self) -> Table:
+        """A row per setting, or solver: what changed of it, and whether its measure did."""
+        first = self.sides[0]
+        of_problems = "objective" in first
+        each = measure("mean wall" if of_problems else "mean timescale-error")
+        heads = ("objective", "solver") if of_problems else ("setting", "settings")
+        settings = ["backend", "protocol", "label", *factors(first), "settings"]
+        values = [np.log(numbers(side, "wall")) if of_problems else each.values(side)
+                  for side in self.sides]  # fmt: skip
+        words = "time, second / first" if of_problems else "mean |error| of τ_w, second − first [%]"
+
+        def apart(grid: Array) -> Array:  # of (..., units, cases, 2), the second less the first
+            return pooled(each.reduce)(grid[..., 1]) - pooled(each.reduce)(grid[..., 0])
+
+        rows: list[dict[str, object]] = []
+        for key, places in grouped(first, list(heads) if of_problems else settings):
+            here, units = self.cases.iloc[places], first["flight"].iloc[places]
+            grid = np.stack([by_unit(value[places], units) for value in values], axis=-1)
+            ends = np.array([apart(grid), *interval(apart, grid)])
+            ends[np.abs(ends) < each.least] = 0.0
+            effect, low, high = np.exp(ends) if of_problems else ends
+            *setting, last = map(level_text, key if of_problems else key[1:])
+            rows.append({
+                heads[0]: ", ".join(setting), heads[1]: last,
+                "verdict": "worse" if ends[1] > 0 else "better" if ends[2] < 0 else "tie",
+                "n": len(places), **here[["changed", "in status"]].sum(),
+                "largest change [%]": _largest(here),
+                f"{words}: effect": effect, "from": low, "to": high,
+            })  # fmt: skip
+        frame = pd.DataFrame(rows)
+        for _, texts in [] if of_problems else frame.groupby("setting", sort=False)["settings"]:
+            every = [json.loads(text) for text in texts]
+            differ = [key for key, value in every[0].items()
+                      if any(own.get(key) != value for own in every)]  # fmt: skip
+            short = [", ".join(f"{key}={own.get(key)}" for key in differ) for own in every]
+            frame.loc[texts.index, "settings"] = short
+        frame = frame.sort_values("changed", ascending=False, kind="stable", key=lambda n: n > 0)
+        note = "First: {}; second: {}. From, to: 95 %, by bootstrap over units.".format(*self.names)
+        frame.attrs.update(title="What changed, and whether for the worse", notes=(note,))
+        return Table.of(frame)
 
     def record(self) -> dict[str, Any]:
         """Return the comparison as JSON has it."""
@@ -115,55 +178,5 @@ def compare(
     limit = np.inf if of_problems else tolerance  # no time is like another
     cases["changed"] = cases["in status"] | (cases["change"] > limit)
     cases["lost"] = ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0)
-    label = "solver" if of_problems else "label"
-    changes = pd.DataFrame({
-        "case": sides[0]["case_id"], label: sides[0][label], f"status in {names[0]}": before,
-        f"status in {names[1]}": after, "change [%]": 100.0 * cases["change"],
-    })[cases["changed"]].sort_values("change [%]", ascending=False, kind="stable")  # fmt: skip
-    changes.attrs["title"] = "Cases that changed"
-    effects = _effects(sides, cases)
-    effects.attrs["title"] = "What changed, and whether for the worse"
-    note = f"First: {names[0]}; second: {names[1]}. From, to: 95 %, by bootstrap over units."
-    effects.attrs["notes"] = (note,)
-    made = {"effects": Table.of(effects), "changes": Table.of(changes)}
-    return Comparison(names, cases, (len(first) - len(shared), len(second) - len(shared)), made)
-
-
-def _effects(sides: list[pd.DataFrame], cases: pd.DataFrame) -> pd.DataFrame:
-    """Return what changed in every setting, or solver, and whether its measure did."""
-    of_problems, first = "objective" in sides[0], sides[0]
-    each = measure("mean wall" if of_problems else "mean timescale-error")
-    columns = ["objective", "solver"] if of_problems else [
-        "protocol", "label", *factors(first), "backend", "settings"]  # fmt: skip
-    values = [np.log(numbers(side, "wall")) if of_problems else each.values(side)
-              for side in sides]  # fmt: skip
-    words = "time, second / first" if of_problems else "mean |error| of τ_w, second − first [%]"
-
-    def apart(grid: Array) -> Array:
-        """Return the measure of the second less that of the first, of (..., units, cases, 2)."""
-        return pooled(each.reduce)(grid[..., 1]) - pooled(each.reduce)(grid[..., 0])
-
-    rows: list[dict[str, object]] = []
-    for key, places in grouped(first, columns):
-        here, units = cases.iloc[places], first["flight"].iloc[places]
-        grid = np.stack([by_unit(value[places], units) for value in values], axis=-1)
-        ends = np.array([apart(grid), *interval(apart, grid)])
-        ends[np.abs(ends) < each.least] = 0.0
-        names = list(map(level_text, key))
-        if not of_problems:
-            names = [", ".join(names[:-2]), names[-1]]
-        shown = np.exp(ends) if of_problems else ends
-        rows.append({
-            **dict(zip(columns if of_problems else ("setting", "settings"), names, strict=True)),
-            "verdict": "worse" if ends[1] > 0 else "better" if ends[2] < 0 else "tie",
-            "n": len(places), **here[["changed", "in status"]].sum(),
-            "largest change [%]": _largest(here),
-            **dict(zip((f"{words}: effect", "from", "to"), shown.tolist(), strict=True)),
-        })  # fmt: skip
-    frame = pd.DataFrame(rows)
-    for _, texts in [] if of_problems else frame.groupby("setting", sort=False)["settings"]:
-        every = [json.loads(text) for text in texts]
-        differ = [key for key in every[0] if any(own.get(key) != every[0][key] for own in every)]
-        short = [", ".join(f"{key}={own.get(key)}" for key in differ) for own in every]
-        frame.loc[texts.index, "settings"] = short
-    return frame.sort_values("changed", ascending=False, kind="stable", key=lambda n: n > 0)
+    only = len(first) - len(shared), len(second) - len(shared)
+    return Comparison(names, sides, cases, only)

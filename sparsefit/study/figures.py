@@ -7,6 +7,7 @@ are more than a legend takes, the rest are grey. A picture without a mark is a s
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -148,48 +149,45 @@ def _along(name: str, each: Measure, values: Array, codes: IntArray, x: Array) -
 
 
 def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
-    """Draw the share of cases with at most so much of each measure, failures in the share."""
-    grid = [
-        [_steps(entry, each, cases.iloc[places], level, title)
-         for level, title, places in row for each in entry.measures]
-        for row in _grid(entry, cases)
-    ]  # fmt: skip
+    """Draw the share of cases with at most so much of each measure, failures in the share.
+
+    Each axis ends where a tenth of the sizes lies beyond it.
+    """
+    grid, kind = list[list[Panel]](), "problems" if "objective" in cases else "cases"
+    for row in _grid(entry, cases):
+        grid.append([])
+        for (level, title, own), each in itertools.product(row, entry.measures):
+            here = cases.iloc[own]
+            values, curves, least = np.abs(each.read(here)), list[Curve](), each.least or 1e-300
+            finite = values[np.isfinite(values)]
+            low, high = np.quantile(finite, (0.01, 0.9)).tolist() if finite.size else (1.0, 1.0)
+            low, log = max(low, least), "x"
+            ends = low / 1.5, max(1.5 * high, 10.0 * low)
+            if each.name == "ratio":  # from the fastest on
+                ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
+            elif finite.size and finite.max() <= LOG_RANGE * finite.min():
+                room = 0.05 * float(np.ptp(finite)) or 0.1 * high
+                ends, log = (float(finite.min()) - room, float(finite.max()) + room), ""
+            for name, at in _curves(entry, here, np.flatnonzero(~measures.in_still_air(here))):
+                sizes = np.sort(values[at])
+                sizes = sizes[np.isfinite(sizes)]
+                share = 100.0 * np.arange(1, sizes.size + 1) / len(at)
+                if sizes.size > 200:  # an eye sees no more
+                    seen = np.linspace(0, sizes.size - 1, 200).astype(int)
+                    sizes, share = sizes[seen], share[seen]
+                if sizes.size:
+                    start, end = min(ends[0], float(sizes[0])), max(ends[1], float(sizes[-1]))
+                    x = np.maximum([start, *sizes, end], least)
+                    curves.append(Curve(name, x, np.array([0.0, *share, share[-1]])))
+            beside = f"{wrapped(level, 26)}\n\nshare of {kind} [%]".strip()
+            grid[-1].append(Panel(
+                curves, with_unit(each.words, each.unit), beside, title,
+                {"drawstyle": "steps-post", "marker": ""}, ends, (-2.0, 102.0), log,
+                marks=[("x", limit) for limit in entry.limits],
+            ))  # fmt: skip
     first = [curve for curve in grid[0][0].curves if curve.y[-2] >= 50.0]
     medians = {curve.name: float(curve.x[np.searchsorted(curve.y, 50.0)]) for curve in first}
     return drawn(grid, 3.3 if len(grid) == 1 else 1.0 + 2.0 * len(grid), ranks or medians)
-
-
-def _steps(entry: Entry, each: Measure, cases: pd.DataFrame, level: str, title: str) -> Panel:
-    """Return the sorted sizes of every line with the share of planned cases up to each.
-
-    The axis ends where a tenth of the sizes lies beyond it.
-    """
-    values, planned, curves = np.abs(each.read(cases)), ~measures.in_still_air(cases), list[Curve]()
-    least, finite = each.least or 1e-300, values[np.isfinite(values)]
-    low, high = np.quantile(finite, (0.01, 0.9)).tolist() if finite.size else (1.0, 1.0)
-    low, log = max(low, least), "x"
-    ends = low / 1.5, max(1.5 * high, 10.0 * low)
-    if each.name == "ratio":  # from the fastest on
-        ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
-    elif finite.size and finite.max() <= LOG_RANGE * finite.min():
-        room = 0.05 * float(np.ptp(finite)) or 0.1 * high
-        ends, log = (float(finite.min()) - room, float(finite.max()) + room), ""
-    for name, places in _curves(entry, cases, np.flatnonzero(planned)):
-        here = np.sort(values[places])
-        here = here[np.isfinite(here)]
-        share = 100.0 * np.arange(1, here.size + 1) / len(places)
-        if here.size > 200:  # an eye sees no more
-            at = np.linspace(0, here.size - 1, 200).astype(int)
-            here, share = here[at], share[at]
-        if here.size:
-            start, end = min(ends[0], float(here[0])), max(ends[1], float(here[-1]))
-            x = np.maximum([start, *here, end], least)
-            curves.append(Curve(name, x, np.array([0.0, *share, share[-1]])))
-    kind = "problems" if "objective" in cases else "cases"
-    beside = f"{wrapped(level, 26)}\n\nshare of {kind} [%]".strip()
-    return Panel(curves, with_unit(each.words, each.unit), beside, title,
-                 {"drawstyle": "steps-post", "marker": ""}, ends, (-2.0, 102.0), log,
-                 marks=[("x", limit) for limit in entry.limits])  # fmt: skip
 
 
 def best_titles(cases: pd.DataFrame) -> list[str]:
@@ -293,26 +291,26 @@ def figures(
             made: Figure = styled(partial(entry, cases, Figure))
             every[name] = Picture(made, sentence(name.replace("_", " ")))
             continue
-        shown = styled(partial(LAYOUTS[entry.compare or "settings"], entry, cases))
-        words = ", ".join(each.words for each in entry.measures) or "an answer"
-        blank = f"{name}: nothing to draw, no case has {words}."
-        every[name] = Picture(shown, _caption(entry) if shown else blank)
+        drawing = styled(partial(LAYOUTS[entry.compare or "settings"], entry, cases))
+        if drawing is None:
+            words = ", ".join(each.words for each in entry.measures) or "an answer"
+            every[name] = Picture(None, f"{name}: nothing to draw, no case has {words}.")
+            continue
+        every_words = [
+            each.words if entry.compare == "ecdf" else
+            each.phrase + f", {each.convention}" * (each.miss is not None)
+            for each in entry.measures
+        ]  # fmt: skip
+        shown = "; ".join(dict.fromkeys(every_words))
+        alike = {re.sub(r"\b(U0|L_w|τ_w)\b", "{}", text) for text in every_words}
+        if len(every_words) > 1 and len(alike) == 1:  # of each parameter
+            symbols = [name for text in every_words for name in SYMBOLS.values() if name in text]
+            shown = alike.pop().format(f"{', '.join(symbols[:-1])} and {symbols[-1]}")
+        if entry.compare == "ecdf":
+            shown = f"Share of planned cases, failures among them, with at most so much: {shown}"
+        caption = " ".join(map(sentence, (entry.title or shown, *entry.notes)))
+        every[name] = Picture(drawing, caption)
     return every
-
-
-def _caption(entry: Entry) -> str:
-    """Return the title of an entry, or what its picture shows."""
-    words = [each.words if entry.compare == "ecdf" else
-             each.phrase + f", {each.convention}" * (each.miss is not None)
-             for each in entry.measures]  # fmt: skip
-    shown = "; ".join(dict.fromkeys(words))
-    alike = {re.sub(r"\b(U0|L_w|τ_w)\b", "{}", text) for text in words}
-    if len(words) > 1 and len(alike) == 1:  # of each parameter
-        symbols = [symbol for text in words for symbol in SYMBOLS.values() if symbol in text]
-        shown = alike.pop().format(f"{', '.join(symbols[:-1])} and {symbols[-1]}")
-    if entry.compare == "ecdf":
-        shown = f"Share of planned cases, failures among them, with at most so much: {shown}"
-    return " ".join(map(sentence, (entry.title or shown, *entry.notes)))
 
 
 def fitting(cases: pd.DataFrame) -> list[str]:

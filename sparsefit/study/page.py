@@ -13,7 +13,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -203,36 +203,34 @@ def write(study: Any) -> list[Path]:
     files = {**table_files(study.name, made), **picture_files(pictures)}
     answer, state = headline(study, cases), progress(study, cases)
     steady = [each for each in made.values() if "objective" in cases or not each.varies]
+    run: list[Code | Table] = [
+        Code(f"The {words}, {file.name}", file.read_text(encoding="utf-8"))
+        for words, file in (("study file", Path(study.path)), ("script", script_of(study)))
+        if file is not None and file.is_file()
+    ]
+    manifest = study.folder / "manifest.json"
+    if manifest.is_file():
+        record = json.loads(manifest.read_text(encoding="utf-8"))
+        rows = [(key.replace("_", " "), json.dumps(value)) for key, value in record.items()]
+        run.append(Table("Versions, machine and time", (Column("what"), Column("value")), rows))
     sections: dict[str, Sequence[Any]] = {
         "Tables": steady,
         "Pictures": [drawing(name, each, files.get(f"{name}.svg", b""))
                      for name, each in pictures.items()],
         "Times": [each for each in made.values() if each not in steady],
-        "This run": list(_run(study)),
+        "This run": run,
     }  # fmt: skip
     page = to_html(study.name, study.question, [answer], sections, state)
     files |= {"report.html": page.encode()}
-    files["README.md"] = _readme(study, [answer, state], made, pictures, files)
+    files["README.md"] = readme(study, [answer, state], made, pictures, files)
     return write_files(study.folder, files)
 
 
-def _run(study: Any) -> Iterator[Any]:
-    """Give the study file, its script, and what the manifest says of versions and machine."""
-    for words, file in (("study file", Path(study.path)), ("script", script_of(study))):
-        if file is not None and file.is_file():
-            yield Code(f"The {words}, {file.name}", file.read_text(encoding="utf-8"))
-    manifest = study.folder / "manifest.json"
-    if manifest.is_file():
-        record = json.loads(manifest.read_text(encoding="utf-8"))
-        rows = [(key.replace("_", " "), json.dumps(value)) for key, value in record.items()]
-        yield Table("Versions, machine and time", (Column("what"), Column("value")), rows)
-
-
-def _readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
-            pictures: Mapping[str, Picture], files: Mapping[str, bytes]) -> bytes:  # fmt: skip
+def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
+           pictures: Mapping[str, Picture], files: Mapping[str, bytes]) -> bytes:  # fmt: skip
     """Return the README: question, headline, pictures (PNG of the large), and readable rows."""
-    name, question, answer = (text.translate(MARKDOWN) for text in (
-        study.name, study.question, said[0]))  # fmt: skip
+    words = (study.name, study.question, said[0])
+    name, question, answer = (text.translate(MARKDOWN) for text in words)
     parts = [f"# {name}", f"**{question}**", answer,
              f"{said[1]} Written by `sparsefit study report`; do not edit."]  # fmt: skip
     shown, texts, linked = list[str](), list[str](), list[str]()

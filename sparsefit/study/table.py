@@ -238,10 +238,13 @@ class Table:
         words = sum(1 for _ in itertools.takewhile(bool, self.is_text))
         names = min(words, len(self.columns) - 1)
         room = max(12, int(0.6 * width / max(names, 1)))
-        columns = [
-            _fitted(texts, room if place < names else width // 2)
-            for place, texts in enumerate(zip(self.heads, *self.texts(most), strict=True))
-        ]
+        columns = list[Sequence[str]]()
+        for place, texts in enumerate(zip(self.heads, *self.texts(most), strict=True)):
+            letters = room if place < names else width // 2
+            begin, end = letters // 2, (letters - 1) // 2
+            short = [text if len(text) <= letters else f"{text[:begin]}…{text[-end:]}"
+                     for text in texts]  # fmt: skip
+            columns.append(short if len(set(short)) == len(set(texts)) else texts)
         every = [list(row) for row in zip(*columns, strict=True)]
         sizes = [max(map(len, texts)) for texts in columns]
         behind = ["  ".join(map(str.ljust, row[:names], sizes)) for row in every]
@@ -269,11 +272,3 @@ def _tex(text: str) -> str:
     text = "".join(sign if sign < "\xff" or ord(sign) in TEX else "?" for sign in text)
     text = text.translate(TEX)
     return f"{{}}{text}" if text[:1] in ("[", "*") else text
-
-
-def _fitted(texts: Sequence[str], most: int) -> Sequence[str]:
-    """Return texts of at most so many letters, without their middle, where they still differ."""
-    half = (most - 1) // 2
-    short = [text if len(text) <= most else f"{text[: most - 1 - half]}…{text[-half:]}"
-             for text in texts]  # fmt: skip
-    return short if len(set(short)) == len(set(texts)) else texts
