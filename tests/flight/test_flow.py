@@ -53,33 +53,24 @@ def test_one_point_on_plain_floats_is_the_velocity_there(name):
     np.testing.assert_allclose(given, flow.velocity(*PLACES, 3.5), atol=1e-11)
 
 
-def test_square_cells_along_the_axes_are_the_cellular_flow():
-    np.testing.assert_allclose(
-        ShapedCells(6.0, 4.0).velocity(*PLACES, 9.0), PLAIN.velocity(*PLACES, 9.0), atol=1e-13
-    )
+X, Y = PLACES
+TURN = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
+SWELL = {"swell": 0.2, "swell_period": 8.0}  # a quarter of it from the phase 0: 1 + 0.2
 
 
-def test_heading_turns_places_and_velocities():
-    turn = np.array([[math.cos(0.3), -math.sin(0.3)], [math.sin(0.3), math.cos(0.3)]])
-    turned = KINDS["turned"].velocity(*(turn @ PLACES))
-    np.testing.assert_allclose(turned, PLAIN.velocity(*PLACES) @ turn.T, atol=1e-12)
-
-
-def test_drift_and_offset_move_the_pattern():
-    moved = ShapedCells(6.0, 4.0, offset=(1.0, -0.5), drift=(0.7, 0.2))
-    x, y = PLACES
-    expected = PLAIN.velocity(x - 1.0 - 0.7 * 3.0, y + 0.5 - 0.2 * 3.0)
-    np.testing.assert_allclose(moved.velocity(x, y, 3.0), expected, atol=1e-12)
-
-
-def test_swell_multiplies_the_velocity():
-    # a quarter of the period from the phase 0: 1 + 0.2
-    swollen = ShapedCells(6.0, 4.0, swell=0.2, swell_period=8.0)
-    np.testing.assert_allclose(
-        swollen.velocity(*PLACES, 2.0), 1.2 * PLAIN.velocity(*PLACES), atol=1e-12
-    )
-    late = ShapedCells(6.0, 4.0, swell=0.2, swell_period=8.0, swell_phase=-math.pi / 2)
-    np.testing.assert_allclose(late.velocity(1, 1), 0.8 * PLAIN.velocity(1, 1), atol=1e-12)
+@pytest.mark.parametrize(
+    ("changes", "time", "expected"),
+    [
+        ({}, 9.0, PLAIN.velocity(X, Y, 9.0)),
+        ({"heading": 0.3}, 0.0, PLAIN.velocity(*(TURN.T @ PLACES)) @ TURN.T),
+        ({"offset": (1.0, -0.5), "drift": (0.7, 0.2)}, 3.0, PLAIN.velocity(X - 3.1, Y - 0.1)),
+        (SWELL, 2.0, 1.2 * PLAIN.velocity(X, Y)),
+        (SWELL | {"swell_phase": -math.pi / 2}, 0.0, 0.8 * PLAIN.velocity(X, Y)),
+    ],
+)
+def test_square_cells_are_the_cellular_flow_turned_moved_and_swollen(changes, time, expected):
+    found = ShapedCells(6.0, 4.0, **changes).velocity(X, Y, time)
+    np.testing.assert_allclose(found, expected, atol=1e-13)
 
 
 def test_walls_of_a_rhombic_cell_are_where_no_flow_crosses():
@@ -94,15 +85,11 @@ def test_walls_of_a_rhombic_cell_are_where_no_flow_crosses():
 
 
 @pytest.mark.parametrize("name", ["turned", "stretched", "rhombic"])
-def test_heading_halves_the_angle_between_the_waves(name):
-    directions = [math.atan2(*k[::-1]) for k in KINDS[name].waves.wavevectors]
-    turned = math.remainder(sum(directions) / 2 - KINDS[name].heading, math.pi / 2)
-    assert turned == pytest.approx(0.0, abs=1e-14)
-
-
-@pytest.mark.parametrize("name", ["turned", "stretched", "rhombic"])
-def test_mean_velocity_is_the_root_of_twice_the_mean_square(name):
+def test_heading_halves_the_angle_and_mean_velocity_is_the_root_of_twice_the_mean_square(name):
     flow = KINDS[name]
+    directions = [math.atan2(*k[::-1]) for k in flow.waves.wavevectors]
+    turned = math.remainder(sum(directions) / 2 - flow.heading, math.pi / 2)
+    assert turned == pytest.approx(0.0, abs=1e-14)
     # one period of the lattice: p.x and q.x from 0 to 2 pi
     p = (flow.waves.wavevectors[0] + flow.waves.wavevectors[1]) / 2
     q = (flow.waves.wavevectors[1] - flow.waves.wavevectors[0]) / 2

@@ -10,11 +10,15 @@ from hypothesis import strategies as st
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight
-from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries, turning
+from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
 
 VEHICLE = PointMassVehicle(response_time=0.5, thrust_acceleration=(5.0, 3.0))
 TIME = np.arange(101) / 20.0
-CIRCLE = turning(5.0, 20.0, constant=(1.0, 0.5), size=2.0, period=4.0, phase=0.3)
+
+
+def flown(vehicle, **options):
+    """In still air, from rest."""
+    return sf.simulate_flight(None, vehicle, duration=3.0, sample_rate=20.0, seed=0, **options)
 
 
 def test_acceleration_by_hand_and_rows_are_samples():
@@ -51,9 +55,7 @@ def test_the_flow_velocity_inverts_every_law(tau, drag, values):
 
 def test_a_vehicle_falls_at_its_terminal_velocity():
     # v' = a - c v |v| from rest: v = sqrt(a/c) tanh(sqrt(a c) t), x = log(cosh(sqrt(a c) t)) / c.
-    flight = sf.simulate_flight(
-        None, PointMassVehicle(math.inf, (4.0, 0.0), 0.25), duration=3.0, sample_rate=20.0, seed=0
-    )
+    flight = flown(PointMassVehicle(math.inf, (4.0, 0.0), 0.25))
     t = flight.time
     np.testing.assert_allclose(flight.velocity[:, 0], 4.0 * np.tanh(t), atol=1e-11)
     np.testing.assert_allclose(flight.position[:, 0], 4.0 * np.log(np.cosh(t)), atol=1e-11)
@@ -62,27 +64,16 @@ def test_a_vehicle_falls_at_its_terminal_velocity():
 def test_a_thrust_that_turns_is_flown_and_logged():
     # v' = s m(t) - v/tau with m a ramp (t, 0): v = s tau (t - tau (1 - exp(-t/tau))).
     ramp = ThrustSeries([0.0, 3.0], [[0.0, 1.0], [3.0, 1.0]])
-    flight = sf.simulate_flight(
-        None,
-        PointMassVehicle(0.5, thrust_scale=2.0),
-        duration=3.0,
-        sample_rate=20.0,
-        seed=0,
-        thrust=ramp,
-    )
+    flight = flown(PointMassVehicle(0.5, thrust_scale=2.0), thrust=ramp)
     t = flight.time
     speed = t - 0.5 * (1 - np.exp(-2 * t))
     np.testing.assert_allclose(flight.velocity[:, 0], speed, atol=1e-11)
     np.testing.assert_allclose(flight.thrust, np.stack([t, np.ones_like(t)], axis=1), atol=1e-14)
-    noisy = {
-        noise: sf.simulate_flight(
-            None, PointMassVehicle(0.5), duration=3.0, sample_rate=20.0, seed=0,
-            thrust=ramp, thrust_noise=noise,
-        )
-        for noise in (0.0, 0.5)
-    }  # fmt: skip
-    np.testing.assert_array_equal(noisy[0.0].velocity, noisy[0.5].velocity)
-    assert np.std(noisy[0.5].thrust - noisy[0.0].thrust) == pytest.approx(0.5, rel=0.2)
+    clean, noisy = (
+        flown(PointMassVehicle(0.5), thrust=ramp, thrust_noise=noise) for noise in (0.0, 0.5)
+    )
+    np.testing.assert_array_equal(clean.velocity, noisy.velocity)
+    assert np.std(noisy.thrust - clean.thrust) == pytest.approx(0.5, rel=0.2)
 
 
 def test_a_series_is_a_straight_line_between_its_samples():
