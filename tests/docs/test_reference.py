@@ -54,9 +54,8 @@ def test_the_table_of_the_readme_is_that_of_the_results():
     rows = re.findall(r"^\| (.*) \| `(.*)` \|(.*)\|$", page, re.MULTILINE)
     assert len(rows) == 5
     for reading, backend, cells in rows:
-        for text, value in zip(
-            cells.split("|"), errors.loc[f"{reading}: {backend}", columns], strict=True
-        ):
+        values = errors.loc[f"{reading}: {backend}", columns]
+        for text, value in zip(cells.split("|"), values, strict=True):
             if "<" in text:
                 assert value < float(text.replace("<", ""))
             else:
@@ -65,36 +64,21 @@ def test_the_table_of_the_readme_is_that_of_the_results():
 
 def test_every_back_end_has_a_line_where_one_chooses():
     page = (DOCS / "choosing.md").read_text("utf-8")
-    assert [
-        n for n in (*BACKENDS, *PUBLIC) if f"| `{n}`" not in page and f", `{n}`" not in page
-    ] == []
-
-
-@pytest.mark.parametrize("name", sparsefit.__all__[1:])
-def test_public_names_have_docstrings_of_their_own(name):
-    value = getattr(sparsefit, name)
-    assert value.__doc__
-    assert not value.__doc__.startswith(f"{name}(")  # what a dataclass without one is given
+    for name in (*BACKENDS, *PUBLIC):
+        assert f"| `{name}`" in page or f", `{name}`" in page, name
 
 
 LINK = re.compile(r"\]\(([\w./-]+\.(?:md|svg|png|toml|csv|json))(?:#[\w-]*)?\)")
+MODULE = re.compile(r"`(?:sparsefit/)?([\w/]+\.py)`")
+MODULES = [str(path) for path in Path(sparsefit.__file__).parent.rglob("*.py")]
 
 
-PAGES = ["README.md", *sorted(f"docs/{page.name}" for page in DOCS.glob("*.md"))]
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_links_work_where_a_page_is_read_as_a_file(page):
-    file = DOCS.parent / page
-    dead = [to for to in LINK.findall(file.read_text("utf-8")) if not (file.parent / to).exists()]
-    assert dead == []
-
-
-@pytest.mark.parametrize("page", sorted(DOCS.glob("*.md")), ids=lambda page: page.stem)
-def test_modules_that_a_page_names_are_there(page):
-    package = Path(sparsefit.__file__).parent
-    named = re.findall(r"`(?:sparsefit/)?([\w/]+\.py)`", page.read_text())
-    held = [f"/{path.relative_to(package)}" for path in package.rglob("*.py")]
-    for name in named:
-        ours = any(path.endswith(f"/{name}") for path in held)
+@pytest.mark.parametrize(
+    "page", [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem
+)
+def test_links_work_where_a_page_is_read_as_a_file_and_modules_that_it_names_are_there(page):
+    text = page.read_text("utf-8")
+    assert [to for to in LINK.findall(text) if not (page.parent / to).exists()] == []
+    for name in MODULE.findall(text):
+        ours = any(path.endswith(f"/{name}") for path in MODULES)
         assert ours or (DOCS.parent / name).is_file(), name

@@ -76,6 +76,7 @@ BACKWARDS = r"row 2 \(t=0\.1\) follows t=0\.2; sort or drop rows, or split the l
         ({"position": [[1.0], [1.0, 2.0]]}, "position must be an array of numbers; its rows"),
         ({"time": np.ma.masked_greater(TIME, 0.2)}, "masked"),
         ({"time": TIME.astype("M8[s]")}, "time must be an array of real numbers"),
+        ({"thrust": np.zeros((5, 2))}, "thrust has 5 rows for 4 samples"),
         ({"vehicle": None}, "vehicle must be a PointMassVehicle"),
         ({"flow": 3.0}, "flow must be one of CellularFlow, "),
         ({"time": TIME[:2], "position": PLANE[:2], "velocity": PLANE[:2]}, "3 samples; got 2"),

@@ -38,33 +38,31 @@ GLOBAL = (
     ("xy_global", "bool", "?"),
 )
 FIX = (("timestamp", "uint64_t", "Q"), ("time_utc_usec", "uint64_t", "Q"))
+BOOT = 20_000_000  # us before the first sample
 
 
-def ulog_at(flight, longitude, latitude, booted, *, start=20_000_000):
-    """The same with the place of the origin, degrees, and when it was switched on, us of UTC."""
-    own = ulog_of(flight, start=start, told=True)["vehicle_local_position"][1]
-    rows = [(*row, latitude, longitude, True) for row in own]
-    fixes = [(start - 500, 0), (start + 7_000, booted + start + 7_000)]
+def rows_of(flight, valid):
+    """Those of its local position; valid: one for all samples, or of each, (m,)."""
+    stamps = BOOT + np.rint(1e6 * flight.time).astype(int)
+    fine = np.broadcast_to(valid, flight.samples).tolist()
+    parts = zip(stamps.tolist(), flight.position, flight.velocity, fine, strict=True)
+    return [(stamp, *place, *speed, good, good) for stamp, place, speed, good in parts]
+
+
+def ulog_at(flight, longitude, latitude, booted):
+    """A log with the place of its origin, degrees, and when it was switched on, us of UTC."""
+    rows = [(*row, latitude, longitude, True) for row in rows_of(flight, True)]
+    fixes = [(BOOT - 500, 0), (BOOT + 7_000, booted + BOOT + 7_000)]
     return ulog({"vehicle_local_position": (GLOBAL, rows), "vehicle_gps_position": (FIX, fixes)})
 
 
-def ulog_of(flight, *, valid=None, start=20_000_000, landed=None, told=False):
-    """The log of PX4 that a flight in NED would have left; valid: of each sample, (m,).
-
-    told: its topics instead.
-    """
-    stamps = start + np.rint(1e6 * flight.time).astype(int)
-    fine = np.ones(flight.samples, bool) if valid is None else valid
-    rows = [
-        (stamp, *place, *speed, good, good)
-        for stamp, place, speed, good in zip(
-            stamps.tolist(), flight.position, flight.velocity, fine.tolist(), strict=True
-        )
-    ]
+def ulog_of(flight, *, valid=True, landed=None):
+    """The log of PX4 that a flight in NED would have left."""
+    rows = rows_of(flight, valid)
     topics = {"vehicle_local_position": (LOCAL, rows)}
     if landed is not None:
-        topics["vehicle_land_detected"] = (LANDED, [(start, landed), (stamps[-1], landed)])
-    return topics if told else ulog(topics)
+        topics["vehicle_land_detected"] = (LANDED, [(BOOT, landed), (rows[-1][0], landed)])
+    return ulog(topics)
 
 
 def igc(times, latitude, longitude, *, start=datetime(2024, 6, 1, 23, 59, 30)):

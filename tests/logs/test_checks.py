@@ -45,10 +45,12 @@ def test_a_gap_of_ten_minutes(flight):
     assert "longest gap of 601 s" in refused(late)
 
 
-def test_a_slow_log_has_longer_steps_and_no_gap():
+def test_longer_steps_are_no_gap_and_a_jump_of_the_receiver_is_left_to_the_repairs(flight):
     time = 900.0 * np.arange(40.0)
     position = 300.0 * np.column_stack([np.sin(time / 9e3), time / 9e3])
     check_log(sf.Flight.from_positions(time, position, VEHICLE))
+    position = flight.position + 300.0 * (np.arange(flight.samples) > 500)[:, None]
+    check_log(replace(flight, position=position))
 
 
 def test_a_vehicle_that_stands_still(flight):
@@ -66,11 +68,6 @@ def test_samples_too_far_apart_for_what_is_sought(flight):
     check_log(flight, largest=12.0)
     far = replace(flight, position=1e3 * flight.position, velocity=1e3 * flight.velocity)
     assert "m apart, and the largest length scale sought is 12 m" in refused(far, largest=12.0)
-
-
-def test_a_jump_of_the_receiver_is_left_to_the_repairs(flight):
-    position = flight.position + 300.0 * (np.arange(flight.samples) > 500)[:, None]
-    check_log(replace(flight, position=position))
 
 
 @pytest.mark.parametrize("count", [2, 3])

@@ -81,8 +81,11 @@ def test_a_log_is_read_as_far_as_it_goes(tmp_path, flight, capsys):
         sf.read_flight(write(tmp_path, "log.ulg", ulog_of(flight)[:70]), vehicle=VEHICLE)
 
 
-def position(rows):
-    return {"vehicle_local_position": (LOCAL, rows)}
+def local(rows, **topics):
+    return ulog({"vehicle_local_position": (LOCAL, rows), **topics})
+
+
+FINE = [(i, i, 0, 0, 0, True, True) for i in range(5)]
 
 
 @pytest.mark.parametrize(
@@ -93,20 +96,11 @@ def position(rows):
         (STANDING.read_bytes(), "no valid local position in any of 636 samples"),
         (ulog({"vehicle_attitude": (LANDED, [(1, True)])}), "position is not in the log"),
         (ulog({"vehicle_local_position": (LANDED, [(1, True)])}), "has no vx, vy, x, y; log it"),
-        (ulog(position([(i, 0, 0, 0, 0, True, False) for i in range(5)])), "in any of 5 samples"),
-        (ulog(position([(i, i, 0, 0, 0, False, True) for i in range(5)])), "in any of 5 samples;"),
-        (ulog(position([(1 - i, i, 0, 0, 0, True, True) for i in range(2)])), "at least 3 samples"),
-        (
-            ulog(
-                position([(i, i, 0, 0, 0, True, True) for i in range(5)])
-                | {"vehicle_land_detected": (LANDED, [(1, True)])}
-            ),
-            "it stands on the ground throughout",
-        ),
-        (
-            ulog(position([(9 - i, i, 0, 0, 0, True, True) for i in range(5)])),
-            "time runs backwards: row 1",
-        ),
+        (local([(i, 0, 0, 0, 0, True, False) for i in range(5)]), "in any of 5 samples"),
+        (local([(i, i, 0, 0, 0, False, True) for i in range(5)]), "in any of 5 samples;"),
+        (local(FINE[1::-1]), "at least 3 samples"),
+        (local(FINE, vehicle_land_detected=(LANDED, [(1, True)])), "on the ground throughout"),
+        (local(FINE[::-1]), "time runs backwards: row 1"),
         ("", "none of 0 fixes"),
         ("time,x,y\n1,2,3\n", "none of 0 fixes|not an IGC"),
         (RECORDING.replace("HFDTE010624\r\n", ""), "no date"),

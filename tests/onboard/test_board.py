@@ -14,6 +14,8 @@ from sparsefit.onboard.sweep import BoardDoubt, BoardSettings, features, rebased
 
 SETTINGS = BoardSettings(0.3, 0.0, 2.0, -1.0, 1.0, 2.0, 8.0, 0.03)
 FLOW = np.array([1.5, -1.0, 0.7, 1.8, 0.6, 0.7])
+TURNED = sf.flows.ShapedCells(9.0, 3.5, heading=0.3)
+VEHICLE = sf.PointMassVehicle(0.3, (2.0, -1.0))
 compiled = pytest.mark.skipif(module.CompiledFlow is None, reason="there was no compiler")
 
 
@@ -26,13 +28,10 @@ def slopes(function, point, step=1e-6):
     return np.stack(sides, axis=-1)
 
 
-def flown(heading=0.3, seed=5, duration=9.0, rate=50.0, vehicle=None, flow=None, **noise):
-    vehicle = vehicle or sf.PointMassVehicle(0.3, (2.0, -1.0))
-    flow = flow or sf.flows.ShapedCells(9.0, 3.5, heading=heading)
-    noise = {"position_noise": 0.03, "velocity_noise": 0.1} | noise
-    return sf.simulate_flight(
-        flow, vehicle, duration=duration, sample_rate=rate, seed=seed, **noise
-    )
+def flown(flow=TURNED, vehicle=VEHICLE, **changes):
+    options = {"duration": 9.0, "sample_rate": 50.0, "seed": 5}
+    noise = {"position_noise": 0.03, "velocity_noise": 0.1}
+    return sf.simulate_flight(flow, vehicle, **(options | noise | changes))
 
 
 def fed(board, flight, rows=slice(None)):
@@ -44,12 +43,11 @@ def fed(board, flight, rows=slice(None)):
 
 
 def test_waves_are_cells_and_their_gradients_are_right():
-    cells = sf.flows.ShapedCells(9.0, 3.5, heading=0.3)
-    k = cells.waves.wavevectors
-    flow = np.concatenate([np.ravel([cells.waves.cosine, cells.waves.sine], "F"), k[0]])
+    k, amplitudes = TURNED.waves.wavevectors, [TURNED.waves.cosine, TURNED.waves.sine]
+    flow = np.concatenate([np.ravel(amplitudes, "F"), k[0]])
     np.testing.assert_allclose(k[1], [-k[0, 1], k[0, 0]], atol=1e-12)
     w, place, gradient = waves(flow, 1.3, -0.7)
-    np.testing.assert_allclose(w, cells.velocity(1.3, -0.7), atol=1e-12)
+    np.testing.assert_allclose(w, TURNED.velocity(1.3, -0.7), atol=1e-12)
     at = np.array([1.3, -0.7])
     np.testing.assert_allclose(place, slopes(lambda x: waves(flow, *x)[0], at), atol=1e-7)
     np.testing.assert_allclose(gradient, slopes(lambda p: waves(p, *at)[0], flow), atol=1e-7)
@@ -96,21 +94,18 @@ def test_a_measurement_is_conditioned_on():
 
 WORLDS = {
     "turned": (flown, {}),
-    "axes": (lambda: flown(0.0), {"any_heading": 0}),
+    "axes": (lambda: flown(sf.CellularFlow(9.0, 3.5)), {"any_heading": 0}),
     "thrust, memory": (
-        lambda: sf.simulate_flight(
-            sf.CellularFlow(8.0, 4.0),
-            sf.PointMassVehicle(0.5, (2.0, -1.0), 0.05, 1.1),
-            duration=10.0,
-            sample_rate=50.0,
+        lambda: flown(
+            flow=sf.CellularFlow(8.0, 4.0),
+            vehicle=sf.PointMassVehicle(0.5, (2.0, -1.0), 0.05, 1.1),
             seed=4,
             position_noise=0.02,
-            velocity_noise=0.1,
-            thrust=turning(10.0, 50.0, constant=(1.0, 0.5), size=4.0, period=4.0, phase=0.3),
+            thrust=turning(9.0, 50.0, constant=(1.0, 0.5), size=4.0, period=4.0, phase=0.3),
         ),
         {"response_time": 0.5, "drag_coefficient": 0.05, "thrust_scale": 1.1, "memory": 4.0},
     ),
-    "turbulence": (lambda: flown(flow=sf.flows.Turbulence(3.0, 5.0, seed=1)), {}),
+    "turbulence": (lambda: flown(sf.flows.Turbulence(3.0, 5.0, seed=1)), {}),
 }
 
 
@@ -139,15 +134,13 @@ def test_c_and_numpy_are_one_recurrence(name):
 
 
 @compiled
-def test_settings_out_of_range_are_refused():
-    for change in (
-        {"response_time": 0.0},
-        {"lower": 9.0},
-        {"drag_coefficient": math.nan},
-        {"candidates": 0},
-    ):
-        with pytest.raises(ValueError, match="out of its range"):
-            module.CompiledFlow(replace(SETTINGS, **change))
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [("response_time", 0.0), ("lower", 9.0), ("drag_coefficient", math.nan), ("candidates", 0)],
+)
+def test_settings_out_of_range_are_refused(name, bad):
+    with pytest.raises(ValueError, match="out of its range"):
+        module.CompiledFlow(replace(SETTINGS, **{name: bad}))
 
 
 @pytest.mark.parametrize("fast", [False, pytest.param(True, marks=compiled)])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
+from sparsefit.flight.vehicle import turning
 from sparsefit.onboard import c_source
 from sparsefit.onboard.c_source import package, ram
 
@@ -101,17 +102,14 @@ def test_what_it_takes_and_what_it_refuses(built, real):
 
 @compiler
 def test_cpp_takes_the_header(built):
-    source = (
-        '#include "sf_flow.h"\nint main() { static sf_flow f; return sf_init(&f, 0) == SF_OK; }'
-    )
-    (built["double"] / "main.cpp").write_text(source)
+    program = "int main() { static sf_flow f; return sf_init(&f, 0) == SF_OK; }"
+    (built["double"] / "main.cpp").write_text(f'#include "sf_flow.h"\n{program}\n')
     command = ("g++", "-I.", "-c", "main.cpp")
     assert not shutil.which("g++") or run(built["double"], *command).returncode == 0
 
 
-def test_a_flight_of_ones_own_with_thrust(tmp_path):
-    time = np.arange(301) * 0.02
-    thrust = sf.flows.ThrustSeries(time, np.stack([np.sin(time), np.cos(time)], axis=1))
+def test_a_flight_of_ones_own_with_thrust():
+    thrust = turning(6.0, 50.0, constant=(0.0, 0.0), size=1.0, period=6.0, phase=0.0)
     flight = sf.simulate_flight(
         sf.CellularFlow(8.0, 4.0), sf.PointMassVehicle(0.5), duration=6.0, sample_rate=50.0, seed=1,
         thrust=thrust,
@@ -121,7 +119,7 @@ def test_a_flight_of_ones_own_with_thrust(tmp_path):
     assert len(files["test/reference.csv"].splitlines()) == 7
 
 
-def test_refusals_and_costs():
+def test_refusals():
     with pytest.raises(sf.InputError, match="several scales"):
         package(sf.Estimator(readout=sf.Readout(scales="several")))
     with pytest.raises(sf.InputError, match="unknown C type"):

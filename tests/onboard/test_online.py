@@ -16,37 +16,47 @@ from sparsefit.onboard import board as module
 from sparsefit.onboard.board import Board
 
 VEHICLE = sf.PointMassVehicle(0.3, (6.0, -3.0))
+TURNED = sf.flows.ShapedCells(10.0, 4.21, heading=0.4)
 GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 LADDER = sf.Estimator(library=sf.Library(grid=GRID), readout=sf.Readout(refine="ladder"))
 AXES = replace(LADDER, readout=sf.Readout(refine="variable-projection"))
 compiled = pytest.mark.skipif(module.CompiledFlow is None, reason="there was no compiler")
 
 
-def flown(flow=None, seed=7, duration=14.0, vehicle=VEHICLE, **noise):
-    noise = {"position_noise": 0.05, "velocity_noise": 0.1} | noise
-    return sf.simulate_flight(
-        flow or sf.flows.ShapedCells(10.0, 4.21, heading=0.4),
-        vehicle,
-        duration=duration,
-        sample_rate=50.0,
-        seed=seed,
-        **noise,
-    )
+def flown(flow=TURNED, vehicle=VEHICLE, **changes):
+    options = {"duration": 14.0, "sample_rate": 50.0, "seed": 7}
+    noise = {"position_noise": 0.05, "velocity_noise": 0.1}
+    return sf.simulate_flight(flow, vehicle, **(options | noise | changes))
+
+
+def samples_of(flight):
+    """(time, position, velocity) of every sample."""
+    return zip(flight.time, flight.position, flight.velocity, strict=True)
 
 
 def fed(online, flight, start=0, stop=None):
-    rows = zip(flight.time, flight.position, flight.velocity, strict=True)
-    for sample in list(rows)[start:stop]:
+    for sample in list(samples_of(flight))[start:stop]:
         online.update(*sample)
     return online
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return flown()
+
+
+@pytest.fixture(scope="module")
+def whole(flight):
+    """The estimate of every sample of it."""
+    return fed(online_of(), flight).estimate()
 
 
 def online_of(estimator=LADDER, **options):
     return OnlineEstimator(estimator, vehicle=VEHICLE, **options)
 
 
-def test_an_answer_at_every_sample_that_is_right_when_it_is_ok():
-    flight, online, seen = flown(), online_of(), []
+def test_an_answer_at_every_sample_that_is_right_when_it_is_ok(flight):
+    online, seen = online_of(), []
     for stop in range(0, flight.samples, 25):
         seen.append(fed(online, flight, stop, stop + 25).estimate())
     assert (seen[0].status, seen[0].doubt) == ("unidentifiable", Doubt.FEW_SAMPLES)
@@ -84,9 +94,8 @@ def test_turned_cells_are_never_ok_and_off(estimator):
         scale, turn = rng.uniform(2.5, 7.5), math.exp(rng.uniform(math.log(0.2), math.log(0.9)))
         flow = sf.flows.ShapedCells(scale / turn, scale, heading=rng.uniform(-0.7, 0.7))
         vehicle = sf.PointMassVehicle(0.3, tuple(rng.normal(size=2) * flow.mean_velocity))
-        flight = flown(flow, seed, 20.0, vehicle)
         online = OnlineEstimator(estimator, vehicle=vehicle)
-        estimate = fed(online, flight).estimate()
+        estimate = fed(online, flown(flow, vehicle, seed=seed, duration=20.0)).estimate()
         answered += estimate.status == "ok"
         if estimate.status == "ok":
             assert estimate.length_scale == pytest.approx(scale, rel=0.05)
@@ -98,9 +107,7 @@ def test_turned_cells_are_never_ok_and_off(estimator):
     "flow", [None, sf.flows.Turbulence(4.0, 5.0, seed=3), sf.flows.SuperposedFlow((), (3.0, 1.0))]
 )
 def test_where_there_are_no_cells_nothing_is_ok(flow):
-    flight = sf.simulate_flight(
-        flow, VEHICLE, duration=20.0, sample_rate=50.0, seed=2, velocity_noise=0.2
-    )
+    flight = flown(flow, duration=20.0, seed=2, velocity_noise=0.2, position_noise=0.0)
     online = online_of()
     for stop in range(0, flight.samples, 50):
         assert fed(online, flight, stop, stop + 50).estimate().status != "ok"
@@ -119,23 +126,18 @@ def test_a_window_follows_a_flow_that_swells():
     assert np.sqrt(np.mean(np.square(errors))) < 0.08
 
 
-def test_a_checkpoint_goes_on_and_threads_do_not_disturb_it():
-    flight = flown()
-    whole, cut = fed(online_of(), flight), fed(online_of(), flight, 0, 300)
-    cut = fed(pickle.loads(pickle.dumps(cut)), flight, 300)
-    assert cut.estimate() == whole.estimate() or str(cut.estimate()) == str(whole.estimate())
+def test_a_checkpoint_goes_on_and_threads_do_not_disturb_it(flight, whole):
+    cut = pickle.loads(pickle.dumps(fed(online_of(), flight, 0, 300)))
+    assert str(fed(cut, flight, 300).estimate()) == str(whole)
     shared = online_of()
-    rows = iter(list(zip(flight.time, flight.position, flight.velocity, strict=True)))
     with ThreadPoolExecutor(4) as pool:
         asked = [pool.submit(lambda: shared.estimate().status) for _ in range(50)]
-        for sample in rows:
-            shared.update(*sample)
+        fed(shared, flight)
         assert {future.result() for future in asked} <= {"ok", "unidentifiable", "misfit"}
-    assert str(shared.estimate()) == str(whole.estimate())
+    assert str(shared.estimate()) == str(whole)
 
 
-def test_bad_samples_are_refused_and_change_nothing():
-    flight = flown()
+def test_bad_samples_are_refused_and_change_nothing(flight):
     online = fed(online_of(), flight, 0, 400)
     before, last = str(online.estimate()), float(flight.time[399])
     for sample, words in (
@@ -180,15 +182,13 @@ def test_what_cannot_fly_is_said_before_it_does(change, words):
             online_of(**bad)
 
 
-def test_an_estimator_is_scored_as_it_would_fly():
-    flight = flown()
-    own = fed(online_of(), flight).estimate()
+def test_an_estimator_is_scored_as_it_would_fly(flight, whole):
     flies = as_flown(LADDER)
     estimate = flies.estimate(flight)
-    assert str(estimate) == str(own)
+    assert str(estimate) == str(whole)
     assert estimate.certificate is not None
     prepared = flies.prepare(flight)
-    assert str(LADDER.read(prepared, LADDER.fit(prepared))) == str(own)
+    assert str(LADDER.read(prepared, LADDER.fit(prepared))) == str(whole)
     with pytest.raises(sf.InputError, match="one flight is followed, not 2"):
         flies.estimate([flight, flight])
     stream = Stream(window=5.0)
@@ -199,11 +199,9 @@ def test_an_estimator_is_scored_as_it_would_fly():
 
 @compiled
 def test_a_sample_takes_microseconds():
-    flight, online = flown(duration=30.0), online_of()
-    rows = list(zip(flight.time.tolist(), flight.position.tolist(), flight.velocity.tolist(),
-                    strict=True))  # fmt: skip
-    seconds, following = [], []
-    for sample in rows:
+    online, seconds, following = online_of(), [], []
+    for moment, *vectors in samples_of(flown(duration=30.0)):
+        sample = float(moment), *(vector.tolist() for vector in vectors)
         start = time.thread_time()
         online.update(*sample)
         seconds.append(time.thread_time() - start)
