@@ -1,5 +1,6 @@
 """Problems that several tests share: flights, well-conditioned ones and degenerate ones."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -24,17 +25,25 @@ DEGENERATE_KINDS = (
 )
 
 
+def fly(flow, vehicle=VEHICLE, *, seed=3, duration=10.0, rate=100.0, noise=(0.0, 0.0), **settings):
+    """A flight through a flow; its noise is that of velocity [m/s] and that of position [m]."""
+    settings = {"velocity_noise": noise[0], "position_noise": noise[1], **settings}
+    return sf.simulate_flight(
+        flow, vehicle, duration=duration, sample_rate=rate, seed=seed, **settings
+    )
+
+
+def part(flight, rows):
+    """These samples of a flight."""
+    names = ("time", "position", "velocity")
+    return replace(flight, **{name: getattr(flight, name)[rows] for name in names})
+
+
 @cache
 def flight(length_scale=4.2, mean_velocity=15.0, seed=7, duration=10.0, velocity_noise=0.0):
     """A flight with a known flow, sampled at 100 Hz."""
-    return sf.simulate_flight(
-        sf.CellularFlow(mean_velocity, length_scale),
-        VEHICLE,
-        duration=duration,
-        sample_rate=100.0,
-        seed=seed,
-        velocity_noise=velocity_noise,
-    )
+    flow, noise = sf.CellularFlow(mean_velocity, length_scale), (velocity_noise, 0.0)
+    return fly(flow, seed=seed, duration=duration, noise=noise)
 
 
 @cache

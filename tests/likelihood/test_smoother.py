@@ -251,38 +251,30 @@ def test_flights_share_the_flow_and_have_vehicles_of_their_own():
         assert abs(both.value(name) - TRUE.values[place]) < 4.0 * both.error(name)
 
 
+VEHICLE = {"response_time": TAU, "wind_x": 0.0, "thrust_scale": 1.0, "thrust_rotation": 0.0}
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("response_time", 0.33),
-        ("wind_x", 0.5),
-        ("velocity_scale", 1.05),
-        ("position_scale", 0.96),
-        ("velocity_bias_y", 0.3),
-        ("velocity_rotation", 0.05),
-        ("thrust_scale", 1.1),
+        *(("response_time", 0.33), ("wind_x", 0.5), ("thrust_scale", 1.1)),
+        *(("velocity_scale", 1.05), ("velocity_bias_y", 0.3), ("velocity_rotation", 0.05)),
+        *(("position_scale", 0.96), ("latency", 0.06), ("latency", 0.04)),
         ("thrust_rotation", 0.1),
-        ("latency", 0.06),
-        ("latency", 0.04),
     ],
 )
 def test_a_parameter_that_is_free_is_measured(name, value):
     """The log of a vehicle or an instrument that is as believed, believed to be otherwise."""
     log, _ = flown(11, count=500)
-    motion, places, speeds, time = {"response_time": TAU}, log.position, log.velocity, log.time
-    model = Model(nearby(), motion).free(name)
-    if name == "response_time":
-        model = Model(nearby(), {"response_time": value}).free(name)
-        value = TAU
-    elif name in ("thrust_scale", "wind_x", "thrust_rotation"):
-        model = model.at({name: value})
-        value = 1.0 if name == "thrust_scale" else 0.0
+    places, speeds, time = log.position, log.velocity, log.time
+    model = Model(nearby(), {"response_time": TAU}).free(name)
+    if name in VEHICLE:
+        model, value = model.at({name: value}), VEHICLE[name]
     elif name == "velocity_scale":
         speeds = speeds * value
     elif name == "position_scale":
-        places = places * value  # as the search sees the flow
-        scaled = StreamPattern("axis", (9.0, 4.0 * value, 0.7, -1.2))
-        model = Model(nearby(scaled), motion).free(name)
+        places = places * value
+        model = model.at({"length_scale": model.pattern.length_scale * value})  # as it is seen
     elif name == "velocity_bias_y":
         speeds = speeds + np.array([0.0, value])
     elif name == "velocity_rotation":

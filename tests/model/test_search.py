@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.flight import simulate_flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Search, Start, flight_weights, propose
 from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
 from sparsefit.rows import Derivative, Samples
+from tests.problems import fly
 
 TIME = np.linspace(0, 12, 300)
 TRACK = np.column_stack(
@@ -111,7 +111,7 @@ def test_several_length_scales_come_from_their_windows():
 
 def test_unknown_vehicles_are_linear_columns_of_the_rows():
     flow, vehicle = flow_of(AXIS, (0.9,)), PointMassVehicle(0.4, (2.0, -1.0))
-    flight = simulate_flight(flow, vehicle, duration=20.0, sample_rate=50.0, seed=3)
+    flight = fly(flow, vehicle, duration=20.0, rate=50.0)
     believed = PointMassVehicle(0.5, (2.0, -1.0))
     library = Library(LIBRARY.grid, unknown=("response_time", "wind"))
     search = Search.of([Derivative()(flight)], [believed], library)
@@ -175,7 +175,7 @@ def test_amplitudes_are_those_of_the_vehicles_that_fit_best():
     vehicles = [PointMassVehicle(0.5), PointMassVehicle(0.3)]
     believed = [PointMassVehicle(0.6), PointMassVehicle(0.4)]
     flights = [
-        Derivative()(simulate_flight(flow, own, duration=15.0, sample_rate=50.0, seed=seed))
+        Derivative()(fly(flow, own, duration=15.0, rate=50.0, seed=seed))
         for seed, own in enumerate(vehicles)
     ]
     library = Library(LIBRARY.grid, unknown=("response_time",))

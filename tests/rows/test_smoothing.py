@@ -1,19 +1,20 @@
-"""The smoother that tunes itself: kernels, noise levels, the choice of window."""
+"""Samples mended and smoothed: outliers, gaps, kernels, noise levels, the choice of window."""
 
+import dataclasses
 import math
 import warnings
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sparsefit.flight import Flight, simulate_flight
+from sparsefit.flight import Flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle, turning
-from sparsefit.rows import Derivative
-from sparsefit.rows.clean import LogPieces
+from sparsefit.rows import Derivative, Repairs
+from sparsefit.rows.clean import LogPieces, without_outliers
 from sparsefit.rows.smoothing import (
     FEWEST,
     ORDER,
@@ -24,16 +25,20 @@ from sparsefit.rows.smoothing import (
     polynomial_kernels,
     smooth,
 )
+from tests.problems import VEHICLE, fly, part
 
-VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
+FLOW = CellularFlow(12.0, 4.0)
+NOISE = {"noise": (0.2, 0.05)}
 AUTO = Derivative("auto")
+ARRAYS = ("time", "position", "velocity", "position_rate", "acceleration")
+flown = cache(partial(fly, seed=1, duration=8.0))
 
 
-@cache
-def fly(seed, timescale, duration=10.0, **noise):
+def drawn(seed, timescale, duration=10.0, noise=(0.0, 0.0)):
+    """A flight through cells of a timescale [s] and of a random size."""
     length_scale = np.random.default_rng(seed).uniform(2.0, 10.0)
     flow = CellularFlow(length_scale / timescale, length_scale)
-    return simulate_flight(flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed, **noise)
+    return flown(flow, seed=seed, duration=duration, noise=noise)
 
 
 def log_of(position, velocity, step=0.01):
@@ -64,19 +69,15 @@ def test_noise_level_of_exact_and_of_no_signal_is_rounding():
 
 
 def test_the_window_grows_with_the_noise_and_shrinks_with_the_speed_of_the_flow():
-    levels = [
-        AUTO(fly(2, 0.4, velocity_noise=v, position_noise=v / 5)).smoothing.window
-        for v in (0.0, 0.01, 0.5)
-    ]
+    levels = [AUTO(drawn(2, 0.4, noise=(v, v / 5))).smoothing.window for v in (0.0, 0.01, 0.5)]
     assert levels == sorted(levels)
     assert levels[0] < levels[2]
-    noisy = {"velocity_noise": 0.5, "position_noise": 0.1}
-    assert AUTO(fly(2, 0.05, **noisy)).smoothing.window < levels[2] / 2
+    assert AUTO(drawn(2, 0.05, noise=(0.5, 0.1))).smoothing.window < levels[2] / 2
 
 
 def test_the_window_chosen_has_nearly_the_least_true_error():
-    flight = fly(3, 0.3, 30.0, velocity_noise=0.5, position_noise=0.1)
-    truth = fly(3, 0.3, 30.0)
+    flight = drawn(3, 0.3, 30.0, noise=(0.5, 0.1))
+    truth = drawn(3, 0.3, 30.0)
     log = log_of(flight.position, flight.velocity)
 
     def true_risk(window):
@@ -89,14 +90,14 @@ def test_the_window_chosen_has_nearly_the_least_true_error():
 
 
 def test_the_filter_and_the_noise_are_reported():
-    flight = fly(4, 0.5, 30.0, velocity_noise=0.5, position_noise=0.1)
+    flight = drawn(4, 0.5, 30.0, noise=(0.5, 0.1))
     samples = AUTO(flight)
     smoothing = samples.smoothing
     assert (smoothing.method, smoothing.reason, smoothing.order) == ("auto", "", ORDER)
     assert SHORTEST <= smoothing.rate_window < smoothing.window
     assert smoothing.sigma_position == pytest.approx(0.1, rel=0.05)
     assert smoothing.sigma_velocity == pytest.approx(0.5, rel=0.05)
-    truth = fly(4, 0.5, 30.0)
+    truth = drawn(4, 0.5, 30.0)
     rows = slice(smoothing.window // 2, len(truth.time) - smoothing.window // 2)
     exact = VEHICLE.acceleration(truth.velocity, truth.flow.velocity(*truth.position.T))[rows]
     assert np.std(samples.acceleration - exact) < 0.1 * np.std(exact)
@@ -104,12 +105,9 @@ def test_the_filter_and_the_noise_are_reported():
 
 
 def test_an_origin_far_away_changes_nothing():
-    flight = fly(6, 0.5, velocity_noise=0.2, position_noise=0.04)
-    moved = Flight(
-        time=flight.time + 1.7e9,
-        position=flight.position + 2.0**20,
-        velocity=flight.velocity,
-        vehicle=VEHICLE,
+    flight = drawn(6, 0.5, noise=(0.2, 0.04))
+    moved = dataclasses.replace(
+        flight, time=flight.time + 1.7e9, position=flight.position + 2.0**20
     )
     here, there = AUTO(flight), AUTO(moved)
     assert here.smoothing.window == there.smoothing.window
@@ -122,7 +120,7 @@ def test_flights_that_stand_still_or_go_straight_divide_by_nothing(speed):
     time = np.arange(300) / 100.0
     line = np.column_stack([speed * time, np.zeros(300)])
     velocity = np.tile([speed, 0.0], (300, 1))
-    flight = Flight(time=time, position=line, velocity=velocity, vehicle=VEHICLE)
+    flight = Flight(time, line, velocity, VEHICLE)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         samples = AUTO(flight)
@@ -138,9 +136,8 @@ def test_flights_that_stand_still_or_go_straight_divide_by_nothing(speed):
     ],
 )
 def test_uneven_steps_and_short_flights_fall_back_by_name(rows, reason):
-    flight = fly(7, 0.5)
-    part = Flight(flight.time[rows], flight.position[rows], flight.velocity[rows], VEHICLE)
-    samples, expected = Derivative(repair=False)(part), Derivative("midpoint")(part)
+    flight = part(drawn(7, 0.5), rows)
+    samples, expected = Derivative(repair=False)(flight), Derivative("midpoint")(flight)
     assert samples.smoothing.method == "midpoint"
     assert samples.smoothing.reason == reason
     np.testing.assert_array_equal(samples.acceleration, expected.acceleration)
@@ -148,7 +145,7 @@ def test_uneven_steps_and_short_flights_fall_back_by_name(rows, reason):
 
 @pytest.mark.parametrize("timescale", [0.05, 0.3, 1.0])
 def test_exact_flights_are_read_to_a_thousandth_of_a_percent(timescale):
-    flight = fly(10, timescale)
+    flight = drawn(10, timescale)
     samples = AUTO(flight)
     truth = flight.flow.velocity(*samples.position.T)
     error = samples.flow_velocity(VEHICLE) - truth
@@ -156,17 +153,17 @@ def test_exact_flights_are_read_to_a_thousandth_of_a_percent(timescale):
 
 
 def test_a_long_flight_is_judged_by_its_middle():
-    flight = fly(9, 0.4, 30.0, velocity_noise=0.3, position_noise=0.05)
+    flight = drawn(9, 0.4, 30.0, noise=(0.3, 0.05))
     log = log_of(flight.position, flight.velocity)
     whole, part = smooth(log)[3], smooth(log, judged_rows=1000)[3]
     assert part.window == pytest.approx(whole.window, rel=0.5)
 
 
 def test_positions_alone_are_smoothed_by_their_own_polynomial():
-    flight = fly(8, 0.5, position_noise=0.02)
+    flight = drawn(8, 0.5, noise=(0.0, 0.02))
     samples = AUTO(Flight.from_positions(flight.time, flight.position, VEHICLE))
     assert samples.smoothing.sigma_velocity == 0.0
-    truth = fly(8, 0.5)
+    truth = drawn(8, 0.5)
     velocity = np.interp(samples.time, truth.time, truth.velocity[:, 0])
     assert np.std(samples.velocity[:, 0] - velocity) < 0.03 * np.std(velocity)
 
@@ -174,10 +171,114 @@ def test_positions_alone_are_smoothed_by_their_own_polynomial():
 def test_a_measured_thrust_is_that_at_the_rows():
     vehicle, flow = PointMassVehicle(0.5, thrust_scale=1.2), CellularFlow(8.0, 4.0)
     thrust = turning(6.0, 100.0, constant=(5.0, 3.0), size=9.0, period=3.0, phase=0.0)
-    flight = simulate_flight(flow, vehicle, duration=6.0, sample_rate=100.0, seed=2, thrust=thrust)
+    flight = fly(flow, vehicle, duration=6.0, seed=2, thrust=thrust)
     samples = AUTO(flight)
     error = samples.flow_velocity(vehicle) - flow.velocity(*samples.position.T)
     assert np.abs(error).max() < 5e-4
     weak = Derivative("weak")(flight).averages
     averaged = weak.operator @ flow.velocity(*weak.position.T)
     assert np.abs(weak.flow_velocity(vehicle) - averaged).max() < 1e-3
+
+
+def spoilt(flight, count, seed, size=5.0):
+    """The flight with so many velocities off by ``size`` [m/s], and which."""
+    rng = np.random.default_rng(seed)
+    rows = rng.choice(flight.samples, count, replace=False)
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    velocity = flight.velocity.copy()
+    velocity[rows] += size * np.column_stack([np.cos(angle), np.sin(angle)])
+    return dataclasses.replace(flight, velocity=velocity), set(rows.tolist())
+
+
+@pytest.mark.parametrize("timescale", [0.05, 0.3])
+@pytest.mark.parametrize(
+    "noise", [{}, {"noise": (0.01, 0.0)}, NOISE, {"process_noise": 2.0}], ids=str
+)
+@pytest.mark.parametrize("method", ["forward", "auto"])
+def test_clean_flights_are_not_touched(timescale, noise, method):
+    flight = flown(CellularFlow(5.0 / timescale, 5.0), seed=3, duration=3.0, **noise)
+    here, there = Derivative(method)(flight), Derivative(method, repair=False)(flight)
+    assert here.repairs == Repairs()
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(here, name), getattr(there, name))
+
+
+@pytest.mark.parametrize("count", [2, 8, 40])
+@pytest.mark.parametrize("noise", [{}, NOISE], ids=str)
+def test_outliers_are_found_and_nothing_else_moves(noise, count):
+    flight = flown(FLOW, **noise)
+    dirty, rows = spoilt(flight, count, seed=count)
+    velocity = without_outliers(dirty.velocity)
+    assert without_outliers(dirty.position) is dirty.position
+    replaced = np.any(velocity != dirty.velocity, axis=1)
+    assert set(np.flatnonzero(replaced).tolist()) == rows
+    np.testing.assert_array_equal(velocity[~replaced], flight.velocity[~replaced])
+    assert np.abs(velocity - flight.velocity).max() < (1.2 if noise else 0.1)
+    assert AUTO(dirty).repairs == Repairs(outliers=count)
+
+
+def test_a_position_off_by_itself_moves_no_other():
+    noisy = flown(FLOW, **NOISE)
+    position = noisy.position.copy()
+    position[400] += [2.0, 0.0]
+    mended = without_outliers(position)
+    np.testing.assert_allclose(mended[400], noisy.position[400], atol=0.2)
+    np.testing.assert_array_equal(np.delete(mended - noisy.position, 400, axis=0), 0.0)
+
+
+def test_no_window_crosses_a_gap():
+    exact, rows = flown(FLOW), np.r_[0:300, 360:801]
+    flight = part(exact, rows)
+    samples = AUTO(flight)
+    assert (samples.repairs.gaps, samples.repairs.longest_gap) == (1, pytest.approx(0.61))
+    half = samples.smoothing.window // 2
+    expected = exact.time[np.r_[half : 300 - half, 360 + half : 801 - half]]
+    np.testing.assert_allclose(samples.time, expected, atol=1e-12)
+    truth = FLOW.velocity(*samples.position.T)
+    np.testing.assert_allclose(samples.flow_velocity(VEHICLE), truth, atol=1e-4)
+    assert len(Derivative("forward")(flight).time) == len(rows) - 2
+
+
+def test_windows_that_cross_a_gap_by_hand():
+    time = np.array([0.0, 1.0, 2.0, 9.0, 10.0, 11.0, 12.0])
+    pieces = LogPieces(time, np.zeros((7, 4)), np.array([3]))
+    found = pieces.whole(3)  # of samples 0-2, 1-3, 2-4, 3-5, 4-6
+    np.testing.assert_array_equal(found, [True, False, False, True, True])
+    assert pieces.slices == [slice(0, 3), slice(3, 7)]
+    assert (pieces.step, pieces.even) == (1.0, True)
+
+
+def test_pieces_too_short_for_a_filter_give_no_rows():
+    samples = AUTO(part(flown(FLOW), np.r_[0:300, 340:341, 400:420, 480:801]))
+    assert samples.repairs == Repairs(gaps=3, longest_gap=pytest.approx(0.61))
+    assert not ((samples.time > 3.0) & (samples.time < 4.0)).any()  # one sample alone
+    truth = FLOW.velocity(*samples.position.T)
+    np.testing.assert_allclose(samples.flow_velocity(VEHICLE), truth, atol=1e-4)
+
+
+def test_uneven_steps_are_smoothed_as_even_ones():
+    rng, even = np.random.default_rng(4), np.arange(801) / 100.0
+    time = even + 0.003 * rng.uniform(-1.0, 1.0, 801)
+    errors = {}
+    for name, at in (("even", even), ("uneven", time)):
+        position = np.column_stack([np.sin(3 * at), np.cos(2 * at)])
+        velocity = np.column_stack([3 * np.cos(3 * at), -2 * np.sin(2 * at)])
+        noise = np.random.default_rng(5).standard_normal((2, 801, 2))
+        flight = Flight(at, position + 0.05 * noise[0], velocity + 0.2 * noise[1], VEHICLE)
+        samples = AUTO(flight)
+        assert samples.smoothing.method == "auto"
+        off = samples.acceleration[:, 0] + 9 * np.sin(3 * samples.time)
+        errors[name] = np.sqrt(np.mean(off**2))
+        assert samples.repairs == Repairs(resampled=0 if name == "even" else len(even))
+    assert errors["uneven"] < 1.5 * errors["even"]  # what is interpolated is not white
+
+
+def test_where_most_stand_out_none_does():
+    dirty, _ = spoilt(flown(FLOW, **NOISE), 320, seed=2, size=50.0)
+    assert AUTO(dirty).repairs.outliers == 0
+
+
+def test_repairs_in_words():
+    assert not Repairs().words
+    found = Repairs(outliers=2, gaps=1, longest_gap=0.5)
+    assert found.words == "2 outliers replaced, 1 gap of up to 0.5 s left open"
