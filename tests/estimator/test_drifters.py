@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
+from tests.problems import VEHICLE, fly
 
 FILE = Path(__file__).parents[2] / "studies" / "drifters" / "drifter_079.csv"
 EVERY = 900.0  # s
@@ -45,20 +46,9 @@ def test_a_grid_of_metres_is_refused_for_a_sea(track):
 
 
 def test_positions_alone_tell_a_cellular_flow():
-    flow, vehicle = sf.CellularFlow(6.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
-    logged = sf.simulate_flight(
-        flow, vehicle, duration=15.0, sample_rate=100.0, seed=3, position_noise=0.002
-    )
-    flight = sf.Flight.from_positions(logged.time, logged.position, vehicle)
+    logged = fly(sf.CellularFlow(6.0, 4.0), duration=15.0, noise=(0.0, 0.002))
+    flight = sf.Flight.from_positions(logged.time, logged.position, VEHICLE)
     estimate = sf.Estimator().estimate(flight)
     assert estimate.status == "ok"
     assert estimate.length_scale == pytest.approx(4.0, rel=5e-3)
     assert estimate.mean_velocity == pytest.approx(6.0, rel=3e-2)
-    samples = sf.Derivative()(flight)
-    assert samples.smoothing.sigma_velocity == 0.0
-    assert np.sqrt(np.mean((samples.velocity - _at(logged, samples.time)) ** 2)) < 0.1
-
-
-def _at(flight, time):
-    rows = np.rint(100.0 * time).astype(int)
-    return flight.velocity[rows]

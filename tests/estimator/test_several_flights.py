@@ -9,6 +9,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
+from tests.problems import VEHICLE, fly, part
 
 FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
 REFINED = sf.Readout(refine="variable-projection")
@@ -16,15 +17,8 @@ REFINED = sf.Readout(refine="variable-projection")
 
 @cache
 def flown(seed, duration=6.0, rate=100.0, tau=0.5, noise=0.2):
-    return sf.simulate_flight(
-        FLOW,
-        sf.PointMassVehicle(tau, (5.0, 3.0)),
-        duration=duration,
-        sample_rate=rate,
-        seed=seed,
-        velocity_noise=noise,
-        position_noise=0.1 * noise,
-    )
+    vehicle, noises = sf.PointMassVehicle(tau, (5.0, 3.0)), (noise, 0.1 * noise)
+    return fly(FLOW, vehicle, duration=duration, rate=rate, seed=seed, noise=noises)
 
 
 FLEET = (flown(1), flown(2, 5.0, 50.0, 0.3, 0.1), flown(3, 8.0, noise=1.0))
@@ -62,18 +56,8 @@ def test_several_flights_know_more_than_the_best_of_them_whatever_their_order(re
 
 def test_a_loud_flight_through_turned_cells_costs_the_quiet_one_nothing():
     flow = sf.flows.ShapedCells(9.0, 3.5, heading=0.4)
-    loud, quiet = (
-        sf.simulate_flight(
-            flow,
-            sf.PointMassVehicle(0.5, (5.0, 3.0)),
-            duration=12.0,
-            sample_rate=50.0,
-            seed=int(100 * noise),
-            velocity_noise=noise,
-            position_noise=0.1 * noise,
-        )
-        for noise in (0.6, 0.02)
-    )
+    loud = fly(flow, duration=12.0, rate=50.0, seed=60, noise=(0.6, 0.06))
+    quiet = fly(flow, duration=12.0, rate=50.0, seed=2, noise=(0.02, 0.002))
     alone, both = sf.Estimator().estimate(quiet), sf.Estimator().estimate([loud, quiet])
     # Weights by what one mode along the axes leaves, which is no noise, gave 16 times the interval.
     assert both.status == "ok"
@@ -84,10 +68,7 @@ def test_a_loud_flight_through_turned_cells_costs_the_quiet_one_nothing():
 
 def test_a_flight_in_two_halves_is_the_flight_where_nothing_is_noise():
     whole = flown(5, 8.0, noise=0.0)
-    halves = [
-        sf.Flight(whole.time[part], whole.position[part], whole.velocity[part], whole.vehicle)
-        for part in (slice(0, 401), slice(400, None))
-    ]
+    halves = [part(whole, rows) for rows in (slice(0, 401), slice(400, None))]
     both = sf.Estimator(readout=REFINED).estimate(halves)
     assert both.mean_velocity == pytest.approx(FLOW.mean_velocity, rel=1e-6)
     assert both.length_scale == pytest.approx(FLOW.length_scale, rel=1e-6)
@@ -95,16 +76,11 @@ def test_a_flight_in_two_halves_is_the_flight_where_nothing_is_noise():
 
 def test_equal_flights_stack_to_the_sum_of_their_gram_matrices():
     estimator = sf.Estimator(readout=REFINED)
-    first = FLEET[0]
-    again = sf.Flight(first.time, first.position + 1e-12, first.velocity, first.vehicle)
+    again = replace(FLEET[0], position=FLEET[0].position + 1e-12)
     one, two = estimator.prepare(FLEET[0]), estimator.prepare([FLEET[0], again])
     assert two.weights == pytest.approx((1.0, 1.0))
-    np.testing.assert_allclose(
-        two.problem.theta.T @ two.problem.theta,
-        2 * one.problem.theta.T @ one.problem.theta,
-        rtol=1e-9,
-        atol=1e-6,
-    )
+    double, single = (own.problem.theta.T @ own.problem.theta for own in (two, one))
+    np.testing.assert_allclose(double, 2 * single, rtol=1e-9, atol=1e-6)
     single, double = (estimator.read(own, estimator.fit(own)) for own in (one, two))
     assert double.mean_velocity == pytest.approx(single.mean_velocity, rel=1e-3)
     ratio = single.uncertainty.length_scale / double.uncertainty.length_scale
@@ -112,11 +88,10 @@ def test_equal_flights_stack_to_the_sum_of_their_gram_matrices():
 
 
 def test_every_flight_has_a_wind_of_its_own():
-    calm, windy = FLEET[0], flown(7, 6.0)
     shifted = sf.PointMassVehicle(0.5, (5.0 - 2.0 / 0.5, 3.0))  # of which a wind of 2 m/s makes up
-    pushed = sf.Flight(windy.time, windy.position, windy.velocity, shifted)
+    pushed = replace(flown(7), vehicle=shifted)
     estimator = sf.Estimator(library=sf.Library(unknown=("wind",)), readout=REFINED)
-    found = estimator.estimate([calm, pushed])
+    found = estimator.estimate([FLEET[0], pushed])
     assert found.wind is None
     for flight, wind in zip(found.flights, ((0.0, 0.0), (2.0, 0.0)), strict=True):
         np.testing.assert_allclose(flight.wind, wind, atol=0.1)
@@ -155,9 +130,8 @@ def test_the_command_line_reads_several_files(tmp_path, capsys):
         sf.write_flight(flight, path)
     assert main(["estimate", *paths, "--set", "readout.refine=variable-projection"]) == 0
     printed = capsys.readouterr().out
-    assert all(
-        f"flight {place + 1}              {path}" in printed for place, path in enumerate(paths)
-    )
+    for place, path in enumerate(paths, 1):
+        assert f"flight {place}              {path}" in printed
     assert "change of U0" in printed
     assert main(["estimate", paths[0], paths[0]]) == 2
     assert "one and the same" in capsys.readouterr().err
@@ -168,17 +142,12 @@ OTHER = sf.CellularFlow(mean_velocity=15.43, length_scale=4.5)
 
 @pytest.mark.parametrize(
     ("flow", "tau", "words"),
-    [
-        (OTHER, 0.5, "of flight 3"),
-        (FLOW, 0.6, "flight 3: the response time seems 0.1"),
-    ],
+    [(OTHER, 0.5, "of flight 3"), (FLOW, 0.6, "flight 3: the response time seems 0.1")],
 )
 def test_a_flight_of_another_flow_or_vehicle_is_named(flow, tau, words):
     true = sf.PointMassVehicle(tau, (5.0, 3.0))
-    odd = sf.simulate_flight(
-        flow, true, duration=6.0, sample_rate=100.0, seed=9, velocity_noise=0.2, position_noise=0.02
-    )
-    believed = replace(odd, vehicle=sf.PointMassVehicle(0.5, (5.0, 3.0)))
+    odd = fly(flow, true, duration=6.0, seed=9, noise=(0.2, 0.02))
+    believed = replace(odd, vehicle=VEHICLE)
     found = sf.Estimator(readout=REFINED).estimate([*FLEET[:2], believed])
     assert found.status == "misfit"
     assert re.search(words, found.reason), found.reason
@@ -201,13 +170,8 @@ def test_every_flight_has_a_response_time_of_its_own():
 
 
 def test_nobody_can_tell_a_vehicle_where_there_is_no_flow():
-    calm = [
-        sf.simulate_flight(
-            None, sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=3.0, sample_rate=50.0, seed=seed,
-            velocity_noise=0.2, position_noise=0.02, initial_velocity=(3.0, 1.0),
-        )
-        for seed in range(2)
-    ]  # fmt: skip
+    still = {"flow": None, "duration": 3.0, "rate": 50.0, "noise": (0.2, 0.02)}
+    calm = [fly(**still, seed=seed, initial_velocity=(3.0, 1.0)) for seed in range(2)]
     estimator = sf.Estimator(library=sf.Library(unknown=("response_time",)), readout=REFINED)
     found = estimator.estimate(calm)
     assert found.status == "unidentifiable"

@@ -10,11 +10,12 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import turning
+from tests.problems import VEHICLE, fly
 
 FLOW = sf.CellularFlow(8.0, 4.0)
 QUADRATIC = sf.PointMassVehicle(math.inf, (5.0, 3.0), 0.3)
 LINEAR = sf.PointMassVehicle(0.5)
-NOISE = {"velocity_noise": 0.1, "position_noise": 0.02}
+NOISE = {"noise": (0.1, 0.02)}
 GRID = sf.model.LengthScaleGrid(2.0, 7.0, step=0.5)
 PLAIN = sf.Readout(refine="variable-projection")
 
@@ -22,10 +23,8 @@ PLAIN = sf.Readout(refine="variable-projection")
 @cache
 def flown(vehicle, *, circling=False, **noise):
     thrust = turning(15.0, 50.0, constant=(5.0, 3.0), size=6.0, period=4.0, phase=0.0)
-    return sf.simulate_flight(
-        FLOW, vehicle, duration=15.0, sample_rate=50.0, seed=5,
-        thrust=thrust if circling else None, **noise,
-    )  # fmt: skip
+    thrust = thrust if circling else None
+    return fly(FLOW, vehicle, duration=15.0, rate=50.0, seed=5, thrust=thrust, **noise)
 
 
 def estimated(flight, *unknown, derivative="auto"):
@@ -83,9 +82,8 @@ def test_noise_of_the_thrust_does_not_make_gusts_of_the_thrust_itself(period):
     """Where all else is exact, gusts of a slow walk would explain a log without its thrust."""
     flow = sf.CellularFlow(4.5, 4.25)
     thrust = turning(20.0, 50.0, constant=(5.0, 3.0), size=6.0, period=period, phase=1.0)
-    flight = sf.simulate_flight(
-        flow, LINEAR, duration=20.0, sample_rate=50.0, seed=8, thrust=thrust, thrust_noise=0.2
-    )
+    settings = {"thrust": thrust, "thrust_noise": 0.2}
+    flight = fly(flow, LINEAR, duration=20.0, rate=50.0, seed=8, **settings)
     wrong = replace(flight, vehicle=sf.PointMassVehicle(0.6, thrust_scale=1.2))
     estimate = estimated(wrong, "response_time", "thrust_scale", "thrust_acceleration")
     assert estimate.status == "ok"
@@ -95,12 +93,14 @@ def test_noise_of_the_thrust_does_not_make_gusts_of_the_thrust_itself(period):
 
 def test_what_cannot_be_sought_is_refused():
     flight = flown(QUADRATIC)
+    both = replace(flight, vehicle=sf.PointMassVehicle(0.5, drag=0.1))
     for name in ("response_time", "thrust_acceleration", "thrust_scale"):
-        with pytest.raises(InputError, match="with quadratic drag, whose rows are linear in drag"):
+        with pytest.raises(InputError, match=r"with quadratic drag, .* in drag and wind alone"):
             estimated(flight, name)
-    with pytest.raises(InputError, match="with linear and quadratic drag"):
-        estimated(replace(flight, vehicle=sf.PointMassVehicle(0.5, drag=0.1)), "drag")
-    with pytest.raises(InputError, match="without quadratic drag"):
+    for name in ("response_time", "drag"):
+        with pytest.raises(InputError, match=r"linear and quadratic drag, whose .* in wind alone"):
+            estimated(both, name)
+    with pytest.raises(InputError, match="without quadratic drag, whose rows"):
         estimated(flown(LINEAR), "drag")
     with pytest.raises(InputError, match="needs a measured thrust"):
         estimated(flown(LINEAR), "thrust_scale")
@@ -110,32 +110,28 @@ def test_what_cannot_be_sought_is_refused():
 
 def test_the_wrong_law_of_drag_is_named():
     noisy = flown(QUADRATIC, **NOISE)
-    linear = replace(noisy, vehicle=sf.PointMassVehicle(0.5, (5.0, 3.0)))
+    linear = replace(noisy, vehicle=VEHICLE)
     assert "more quadratic" in estimated(linear, "response_time").reason
-    other = flown(replace(LINEAR, thrust_acceleration=(5.0, 3.0)), **NOISE)
-    assert estimated(replace(other, vehicle=QUADRATIC), "drag").status != "ok"
+    other = replace(flown(VEHICLE, **NOISE), vehicle=QUADRATIC)
+    assert estimated(other, "drag").status != "ok"
 
 
 @pytest.mark.parametrize("free", [(), ("drag",)])
 def test_turbulence_does_not_hide_the_wrong_law_of_drag_in_a_log_without_noise(free):
-    vehicle = sf.PointMassVehicle(math.inf, (5.0, 3.0), 0.3)
-    linear = sf.PointMassVehicle(0.5, (5.0, 3.0))
-    settings = {"duration": 20.0, "sample_rate": 25.0, "seed": 5}
-    flight = sf.simulate_flight(sf.CellularFlow(15.0, 7.0), vehicle, **settings)
-    estimate = sf.Estimator(free=free).estimate(replace(flight, vehicle=linear))
+    cells, settings = sf.CellularFlow(15.0, 7.0), {"duration": 20.0, "rate": 25.0, "seed": 5}
+    flight = replace(fly(cells, QUADRATIC, **settings), vehicle=VEHICLE)
+    estimate = sf.Estimator(free=free).estimate(flight)
     assert estimate.status == "misfit"
     names = ["response_time", "drag"] if not free else ["drag", "response_time"]
     assert "free = [{}]".format(", ".join(f'"{name}"' for name in names)) in estimate.reason
-    gusts = sf.flows.Turbulence(0.5, 8.0, seed=1)
-    air = sf.flows.SuperposedFlow((sf.CellularFlow(15.0, 7.0), gusts))
-    assert sf.Estimator().estimate(sf.simulate_flight(air, linear, **settings)).status == "ok"
+    air = sf.flows.SuperposedFlow((cells, sf.flows.Turbulence(0.5, 8.0, seed=1)))
+    assert sf.Estimator().estimate(fly(air, **settings)).status == "ok"
 
 
 @pytest.mark.parametrize("ratio", [1.05, 1.2])
 def test_a_wrong_vehicle_is_named_in_a_log_without_noise(ratio):
-    flow, vehicle = sf.CellularFlow(12.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
-    flight = sf.simulate_flight(flow, vehicle, duration=12.0, sample_rate=50.0, seed=3)
-    believed = replace(vehicle, response_time=0.5 * ratio)
+    flight = fly(sf.CellularFlow(12.0, 4.0), duration=12.0, rate=50.0)
+    believed = replace(VEHICLE, response_time=0.5 * ratio)
     estimate = sf.Estimator().estimate(replace(flight, vehicle=believed))
     assert (estimate.status, estimate.goodness.suspect.cause) == ("misfit", "response-time")
     assert sf.Estimator().estimate(flight).status == "ok"
@@ -143,12 +139,9 @@ def test_a_wrong_vehicle_is_named_in_a_log_without_noise(ratio):
 
 def test_a_wrong_response_time_is_named_where_gusts_would_explain_a_log_without_noise_too():
     """Slow turbulence explains such a log by 37,000 of log L, the response time by more."""
-    flow, vehicle = sf.CellularFlow(4.826126, 2.899105), sf.PointMassVehicle(0.5, (5.0, 3.0))
-    place = (2.13299589, 5.25816715)
-    flown = sf.simulate_flight(
-        flow, vehicle, initial_position=place, duration=20.0, sample_rate=100.0, seed=0
-    )
-    believed = replace(flown, vehicle=replace(vehicle, response_time=0.6))
-    estimate = sf.Estimator().estimate(believed)
+    flow, place = sf.CellularFlow(4.826126, 2.899105), (2.13299589, 5.25816715)
+    flight = fly(flow, duration=20.0, seed=0, initial_position=place)
+    believed = replace(VEHICLE, response_time=0.6)
+    estimate = sf.Estimator().estimate(replace(flight, vehicle=believed))
     assert estimate.status == "misfit"
     assert "response time" in estimate.reason

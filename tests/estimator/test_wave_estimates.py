@@ -1,4 +1,4 @@
-"""From a flight through cells of any heading to their waves, by back-ends on the wave library."""
+"""Cells of any heading: by the ladder, and by back-ends on the wave library."""
 
 import json
 import math
@@ -10,19 +10,19 @@ import pytest
 
 import sparsefit as sf
 from sparsefit import backends
+from sparsefit.cli.printed import ReadLog, lines
 from sparsefit.estimator import Doubt
+from sparsefit.flows import ShapedCells
+from sparsefit.logs.checks import quality_of
+from tests.problems import fly
 
-VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
-FLOW = sf.flows.ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
+FLOW = ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
 WAVES = sf.Library(sf.model.LengthScaleGrid(3.0, 8.0), family="waves", every=10)
 
 
 @cache
 def flown(flow=FLOW, seed=7, noise=0.2, duration=8.0):
-    return sf.simulate_flight(
-        flow, VEHICLE, duration=duration, sample_rate=100.0, seed=seed,
-        velocity_noise=noise, position_noise=0.25 * noise,
-    )  # fmt: skip
+    return fly(flow, duration=duration, seed=seed, noise=(noise, 0.25 * noise))
 
 
 FLIGHT, OTHER = flown(), flown(seed=91, noise=0.0)
@@ -35,16 +35,16 @@ def missed(flow):
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "refine", "shape"),
+    ("name", "settings", "refine"),
     [
-        ("lasso", {}, "ladder", "square"),
-        ("group-lasso", {}, "variable-projection", "square"),
-        ("group-omp", {}, "variable-projection", "square"),
-        ("least-squares", {"rcond": 0.03}, "ladder", "square"),
-        ("stlsq", {"threshold": 0.02, "ridge": 0.1}, "variable-projection", "square"),
+        ("lasso", {}, "ladder"),
+        ("group-lasso", {}, "variable-projection"),
+        ("group-omp", {}, "variable-projection"),
+        ("least-squares", {"rcond": 0.03}, "ladder"),
+        ("stlsq", {"threshold": 0.02, "ridge": 0.1}, "variable-projection"),
     ],
 )
-def test_every_back_end_leads_to_the_turned_cells(name, settings, refine, shape):
+def test_every_back_end_leads_to_the_turned_cells(name, settings, refine):
     backend, readout = backends.get(name, **settings), sf.Readout(refine=refine)
     found = sf.Estimator(library=WAVES, backend=backend, readout=readout).estimate(FLIGHT)
     assert found.status == "ok"
@@ -52,7 +52,7 @@ def test_every_back_end_leads_to_the_turned_cells(name, settings, refine, shape)
     assert found.length_scale == pytest.approx(4.2, rel=0.002)
     assert math.degrees(found.heading) == pytest.approx(25.0, abs=0.2)
     assert found.timescale == found.length_scale / found.mean_velocity
-    assert found.shape == shape
+    assert found.shape == "square"
     assert abs(found.mean_velocity - 12.0) < 4 * found.uncertainty.mean_velocity < 0.5
     assert abs(found.length_scale - 4.2) < 4 * found.uncertainty.length_scale < 0.1
     assert found.goodness.r_squared > 0.98
@@ -88,8 +88,8 @@ def test_a_wind_that_was_unknown_is_part_of_the_flow():
 
 
 def test_two_flows_of_different_headings_are_found_together():
-    first = sf.flows.ShapedCells(9.0, 4.0, heading=0.2)
-    second = sf.flows.ShapedCells(7.0, 6.5, heading=-0.4)
+    first = ShapedCells(9.0, 4.0, heading=0.2)
+    second = ShapedCells(7.0, 6.5, heading=-0.4)
     flow = sf.flows.SuperposedFlow((first, second))
     library = replace(WAVES, grid=sf.model.LengthScaleGrid(3.0, 9.0))
     found = sf.Estimator(library=library).estimate(flown(flow, seed=4, duration=10.0))
@@ -132,3 +132,66 @@ def test_the_estimate_is_json_with_its_waves():
     shown = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert shown["heading"] == found.heading
     np.testing.assert_array_equal(shown["flow"]["wavevectors"], found.flow.wavevectors)
+
+
+LADDER = sf.Estimator(readout=sf.Readout(refine="ladder"))
+
+
+@pytest.fixture(scope="module")
+def turned():
+    """A flight through square cells turned by 0.3 rad, and what is estimated from it."""
+    flow = ShapedCells(10.0, 4.0, heading=0.3)
+    flight = fly(flow, duration=8.0, noise=(0.1, 0.02), initial_position=(101.0, -57.0))
+    return flow, flight, LADDER.estimate(flight)
+
+
+def test_cells_at_a_heading_are_told(turned):
+    flow, _, estimate = turned
+    assert (estimate.status, estimate.shape) == ("ok", "square")
+    sure, shape = estimate.uncertainty, estimate.shape_uncertainty
+    assert abs(estimate.mean_velocity - flow.mean_velocity) < 4 * sure.mean_velocity
+    assert abs(estimate.length_scale - 4.0) < 4 * sure.length_scale < 0.1
+    assert abs(estimate.heading - 0.3) < 4 * shape.heading < 0.05
+    assert estimate.drift == (0.0, 0.0)
+    assert estimate.length_scales == pytest.approx([estimate.length_scale] * 2)
+    assert estimate.rungs[0].bic == 0 < estimate.rungs[1].bic
+
+
+def test_the_flow_is_that_of_the_flight_in_its_own_coordinates(turned):
+    flow, flight, estimate = turned
+    x, y = flight.position.T
+    true, found = flow.velocity(x, y), estimate.flow.velocity(x, y, flight.time)
+    assert np.mean((found - true) ** 2) < 1e-3 * np.mean(true**2)
+
+
+def test_the_command_line_tells_the_shape(turned):
+    _, flight, estimate = turned
+    words = "\n".join(lines([ReadLog("turned", flight, quality_of(flight), ())], estimate, ()))
+    assert "shape                 square cells\n" in words
+    assert f"heading               {math.degrees(estimate.heading):.4f} degrees" in words
+    assert "drift" not in words
+
+
+def test_two_flows_are_read_each_by_itself():
+    parts = ShapedCells(9.0, 4.0, heading=0.3), ShapedCells(6.0, 5.5, heading=-0.5)
+    flight = fly(sf.flows.SuperposedFlow(parts), duration=12.0, seed=9, noise=(0.1, 0.02))
+    found = LADDER.estimate(flight)
+    assert (found.status, found.shape, len(found.scales)) == ("ok", "several", 2)
+    assert found.mean_velocity == found.scales[0].mean_velocity
+    for read, true in zip(found.scales, parts, strict=True):
+        assert abs(read.mean_velocity - true.mean_velocity) < 4 * read.uncertainty.mean_velocity
+        assert abs(read.length_scale - true.length_scale) < 4 * read.uncertainty.length_scale
+        assert read.uncertainty.mean_velocity < 0.02 * true.mean_velocity
+        assert read.heading == pytest.approx(true.heading, abs=0.01)
+    log = ReadLog("f", flight, quality_of(flight), ())
+    told = [line for line in lines([log], found, ()) if line.startswith("flow ")]
+    assert len(told) == 2
+    assert all(" heading " in line and line.endswith(" degrees") for line in told)
+
+
+def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():
+    cells = ShapedCells(9.0, 4.0, heading=0.4, angle=1.1)
+    found = LADDER.estimate(fly(cells, duration=8.0, seed=2))
+    assert found.shape == "pair"
+    assert found.heading == pytest.approx(0.4, abs=1e-3)
+    assert found.length_scales == pytest.approx((4.0, 4.0), rel=1e-3)
