@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sparsefit.cli.terminal import coloured, duration, proof, typed
 from sparsefit.errors import one_line
-from sparsefit.estimator.estimate import (
-    FINEST,
-    PARAMETERS,
-    FlightEstimate,
-    LogEstimate,
-    decimals,
-)
+from sparsefit.estimator.estimate import FINEST, PARAMETERS, FlightEstimate, LogEstimate, decimals
 from sparsefit.flight.record import FRAMES
 
 if TYPE_CHECKING:

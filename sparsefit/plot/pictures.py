@@ -78,17 +78,14 @@ def draw_map(
     return shades
 
 
+@styled
 def draw_flow(flow: FlowField, *flights: Flight, length_scale: float = np.nan) -> Figure:
     """Return a picture of flights over the vorticity of a flow."""
-
-    def draw() -> Figure:
-        figure, ((axes,),) = panels(1, 1, height=5.0)
-        shades = draw_map(axes, flow, flights, length_scale)
-        if shades is not None:
-            figure.colorbar(shades, ax=axes, label="vorticity [1/s]", shrink=0.8)
-        return figure
-
-    return styled(draw)
+    figure, ((axes,),) = panels(1, 1, height=5.0)
+    shades = draw_map(axes, flow, flights, length_scale)
+    if shades is not None:
+        figure.colorbar(shades, ax=axes, label="vorticity [1/s]", shrink=0.8)
+    return figure
 
 
 def axis_unit(largest: float, unit: str) -> tuple[float, str]:
@@ -98,6 +95,7 @@ def axis_unit(largest: float, unit: str) -> tuple[float, str]:
     return (86400.0, "days") if largest >= 3e5 else (3600.0, "h") if largest >= 2e4 else (1.0, unit)
 
 
+@styled
 def draw_estimate(
     estimate: Estimate,
     estimator: Estimator,
@@ -110,30 +108,26 @@ def draw_estimate(
     Args:
         truth: the true length scales [m], where they are known.
     """
-
-    def draw() -> Figure:
-        figure, ((track, weights), (residual, power)) = panels(2, 2, height=5.9)
-        flow = estimate.flow
-        drift = estimate.drift or (0.0, 0.0)
-        shades = draw_map(track, flow, flights, estimate.length_scale, drift)
-        moving = ", moving with it" if any(drift) else ""
-        track.set_title(f"track over the vorticity{moving}" if flow else "no flow to be drawn")
-        if shades is not None:
-            turn = ", clockwise" if flights[0].frame == "NED" else ""
-            beside = track.inset_axes((1.03, 0.0, 0.04, 1.0))  # as high as the map
-            figure.colorbar(shades, cax=beside, label=f"vorticity{turn} [1/s]")
-        draw_weights(weights, estimate, truth)
-        samples, air, less = along_track(estimate, estimator, flights[0])
-        draw_residual(residual, samples, air, less, " of the first flight" * (len(flights) > 1))
-        draw_spectrum(power, samples, air, less, estimate.length_scale)
-        error = estimate.uncertainty
-        speed = _quantity(estimate.mean_velocity, error.mean_velocity if error else math.nan)
-        length = _quantity(estimate.length_scale, error.length_scale if error else math.nan)
-        said = f"U0 = {speed} m/s, L = {length} m: {estimate.status}"
-        figure.suptitle(f"{labels([title], 90)[title]}\n{said}", fontsize=9)
-        return figure
-
-    return styled(draw)
+    figure, ((track, weights), (residual, power)) = panels(2, 2, height=5.9)
+    flow = estimate.flow
+    drift = estimate.drift or (0.0, 0.0)
+    shades = draw_map(track, flow, flights, estimate.length_scale, drift)
+    moving = ", moving with it" if any(drift) else ""
+    track.set_title(f"track over the vorticity{moving}" if flow else "no flow to be drawn")
+    if shades is not None:
+        turn = ", clockwise" if flights[0].frame == "NED" else ""
+        beside = track.inset_axes((1.03, 0.0, 0.04, 1.0))  # as high as the map
+        figure.colorbar(shades, cax=beside, label=f"vorticity{turn} [1/s]")
+    draw_weights(weights, estimate, truth)
+    samples, air, less = along_track(estimate, estimator, flights[0])
+    draw_residual(residual, samples, air, less, " of the first flight" * (len(flights) > 1))
+    draw_spectrum(power, samples, air, less, estimate.length_scale)
+    error = estimate.uncertainty
+    speed = _quantity(estimate.mean_velocity, error.mean_velocity if error else math.nan)
+    length = _quantity(estimate.length_scale, error.length_scale if error else math.nan)
+    said = f"U0 = {speed} m/s, L = {length} m: {estimate.status}"
+    figure.suptitle(f"{labels([title], 90)[title]}\n{said}", fontsize=9)
+    return figure
 
 
 def _quantity(value: float, spread: float) -> str:
@@ -270,6 +264,7 @@ def spectrum(values: Array, step: float) -> tuple[Array, Array]:
     return np.asarray(frequency[1:]), np.asarray(power[1:])
 
 
+@styled
 def draw_path(alphas: Array, weights: Array, names: Sequence[str] = ()) -> Figure:
     """Return the size of the weights along a path of penalties.
 
@@ -278,27 +273,23 @@ def draw_path(alphas: Array, weights: Array, names: Sequence[str] = ()) -> Figur
             (p, k, n), of which the norm over the targets is drawn.
         names: of the k columns; their places where they are not given.
     """
-
-    def draw() -> Figure:
-        sizes = weights if weights.ndim == 2 else np.linalg.norm(weights, axis=2)
-        figure, ((axes,),) = panels(1, 1, height=4.0)
-        titles = list(names) or [f"column {place}" for place in range(sizes.shape[1])]
-        order = np.argsort(-np.abs(sizes).max(axis=0), kind="stable")
-        short = labels([titles[at] for at in order[:10]], 30)
-        for rank, at in enumerate(order[np.abs(sizes[:, order]).max(axis=0) > 0].tolist()):
-            named = rank < 10
-            axes.plot(
-                alphas, sizes[:, at], lw=1.2 if named else 0.5,
-                color=COLOURS[rank % len(COLOURS)] if named else GREY,
-                ls=STYLES[rank // len(COLOURS) % len(STYLES)] if named else "-",
-                label=short[titles[at]] if named else None, zorder=3 if named else 2,
-            )  # fmt: skip
-        axes.set_xscale("log")
-        axes.set_xlim(float(alphas.max()), float(alphas.min()))
-        logarithmic(axes.xaxis, float(alphas.min()), float(alphas.max()))
-        axes.set_xlabel("penalty, as a share of the smallest that gives zero")
-        axes.set_ylabel("weight in columns of unit rms")
-        legend(figure, [axes])
-        return figure
-
-    return styled(draw)
+    sizes = weights if weights.ndim == 2 else np.linalg.norm(weights, axis=2)
+    figure, ((axes,),) = panels(1, 1, height=4.0)
+    titles = list(names) or [f"column {place}" for place in range(sizes.shape[1])]
+    order = np.argsort(-np.abs(sizes).max(axis=0), kind="stable")
+    short = labels([titles[at] for at in order[:10]], 30)
+    for rank, at in enumerate(order[np.abs(sizes[:, order]).max(axis=0) > 0].tolist()):
+        named = rank < 10
+        axes.plot(
+            alphas, sizes[:, at], lw=1.2 if named else 0.5,
+            color=COLOURS[rank % len(COLOURS)] if named else GREY,
+            ls=STYLES[rank // len(COLOURS) % len(STYLES)] if named else "-",
+            label=short[titles[at]] if named else None, zorder=3 if named else 2,
+        )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_xlim(float(alphas.max()), float(alphas.min()))
+    logarithmic(axes.xaxis, float(alphas.min()), float(alphas.max()))
+    axes.set_xlabel("penalty, as a share of the smallest that gives zero")
+    axes.set_ylabel("weight in columns of unit rms")
+    legend(figure, [axes])
+    return figure

@@ -8,7 +8,8 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
+Given = ParamSpec("Given")
 Drawn = TypeVar("Drawn", "Figure", "Figure | None")
 # Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -50,22 +52,27 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def styled(draw: Callable[[], Drawn]) -> Drawn:
-    """Return a figure drawn in this style, whatever the user's own settings are; or nothing."""
-    import matplotlib as mpl
+def styled(draw: Callable[Given, Drawn]) -> Callable[Given, Drawn]:
+    """Return what draws a figure, or nothing, in this style, whatever the user's settings are."""
 
-    with mpl.rc_context(), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # letters that the font lacks
-        warnings.filterwarnings("ignore", "Attempting to set identical", UserWarning)
-        mpl.rcdefaults()
-        mpl.rcParams.update(STYLE)
-        figure = draw()
-        if figure is None:
+    @wraps(draw)
+    def drawn(*values: Given.args, **settings: Given.kwargs) -> Drawn:
+        import matplotlib as mpl
+
+        with mpl.rc_context(), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph", UserWarning)  # letters that the font lacks
+            warnings.filterwarnings("ignore", "Attempting to set identical", UserWarning)
+            mpl.rcdefaults()
+            mpl.rcParams.update(STYLE)
+            figure = draw(*values, **settings)
+            if figure is None:
+                return figure
+            if layout := figure.get_layout_engine():  # laid out once: saving twice moves nothing
+                layout.execute(figure)
+            figure.set_layout_engine(None)
             return figure
-        if layout := figure.get_layout_engine():  # laid out once: saving twice moves nothing
-            layout.execute(figure)
-        figure.set_layout_engine(None)
-        return figure
+
+    return drawn
 
 
 def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:

@@ -64,12 +64,7 @@ class Comparison:
 
     @property
     def tables(self) -> dict[str, Table]:
-        """The tables of settings, or solvers, and of changed cases."""
-        return {"effects": self.effects, "changes": self.changes}
-
-    @property
-    def changes(self) -> Table:
-        """The cases that changed, the largest change first."""
+        """The table of settings, or solvers, and that of changed cases, the largest first."""
         first, second = self.sides
         label = "solver" if "objective" in first else "label"
         frame = pd.DataFrame({
@@ -79,7 +74,8 @@ class Comparison:
             "change [%]": 100.0 * self.cases["change"],
         })[self.cases["changed"]]  # fmt: skip
         frame.attrs["title"] = "Cases that changed"
-        return Table.of(frame.sort_values("change [%]", ascending=False, kind="stable"))
+        changes = frame.sort_values("change [%]", ascending=False, kind="stable")
+        return {"effects": self.effects, "changes": Table.of(changes)}
 
     @cached_property
     def effects(self) -> Table:

@@ -122,6 +122,7 @@ def pareto(selection: Selection) -> Picture:
         if (seen := selection.latencies.get(each.candidate)) and math.isfinite(seen["median"])
     ]  # fmt: skip
 
+    @styled
     def draw() -> Figure | None:
         y_label = wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50)
         curves = [Curve(each.title, np.array([x]), np.array([each.evaluate]))
@@ -150,7 +151,7 @@ def pareto(selection: Selection) -> Picture:
         "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
         "percentile. Ringed: the chosen; dashed: the front of those that keep every constraint."
     )
-    return Picture(styled(draw), caption if timed else "No candidate was timed.")
+    return Picture(draw(), caption if timed else "No candidate was timed.")
 
 
 def write_selection(

@@ -12,7 +12,6 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -136,16 +135,13 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
 
 def _along(name: str, each: Measure, values: Array, codes: IntArray, x: Array) -> Curve:
     """Return the summaries of a line's values at every level, shares with Wilson's interval."""
-    summaries = np.full((3, len(x)), np.nan)
-    for level in range(len(x)):
-        here = values[(codes == level) & ~np.isnan(values)]
-        if here.size:
-            summaries[0, level] = each.summary_of(here)
-        if here.size and each.summary == "share":
-            summaries[1:, level] = wilson(float(here.sum()), len(here))
-    summaries[~np.isfinite(summaries)] = np.nan
-    summaries[np.abs(summaries) < each.least] = each.least
-    return Curve(name, x, summaries[0], summaries[1:] if each.summary == "share" else None)
+    groups = [values[(codes == level) & ~np.isnan(values)] for level in range(len(x))]
+    y = np.array([each.summary_of(here) if here.size else np.nan for here in groups])
+    y[~np.isfinite(y)] = np.nan
+    y[np.abs(y) < each.least] = each.least
+    if each.summary != "share":
+        return Curve(name, x, y)
+    return Curve(name, x, y, np.array([wilson(here.sum(), here.size) for here in groups]).T)
 
 
 def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
@@ -288,10 +284,10 @@ def figures(
     every: dict[str, Picture] = {}
     for name, entry in entries.asked(study, "figure", LAYOUTS, names, fitting(cases)):
         if not isinstance(entry, Entry):
-            made: Figure = styled(partial(entry, cases, Figure))
+            made: Figure = styled(entry)(cases, Figure)
             every[name] = Picture(made, sentence(name.replace("_", " ")))
             continue
-        drawing = styled(partial(LAYOUTS[entry.compare or "settings"], entry, cases))
+        drawing = styled(LAYOUTS[entry.compare or "settings"])(entry, cases)
         if drawing is None:
             words = ", ".join(each.words for each in entry.measures) or "an answer"
             every[name] = Picture(None, f"{name}: nothing to draw, no case has {words}.")

@@ -148,10 +148,6 @@ class Measure:
             values = np.where(np.isposinf(values), self.miss, values)
         return SUMMARIES[self.summary](values)
 
-    def summarise(self, cases: pd.DataFrame) -> float:
-        """Return the summary of a group of cases; NaN where none has the number."""
-        return self.summary_of(self.values(cases))
-
     def summary_of(self, values: Array) -> float:
         """Return the summary of the values (n,) of a group; NaN where none has the number."""
         if self.summary != "number" and np.isnan(values).all():

@@ -26,15 +26,7 @@ from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import asked, grouped, script_of
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import measure, numbers
-from sparsefit.study.table import (
-    MARKDOWN,
-    Column,
-    Table,
-    cell_text,
-    plain,
-    sentence,
-    significant,
-)
+from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, plain, sentence, significant
 from sparsefit.whole_file import write_files, write_whole
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ DEGREE = math.pi / 180
 
 
 def told(words, *rows):
-    return measure(words).summarise(frame(*rows))
+    each = measure(words)
+    return each.summary_of(each.values(frame(*rows)))
 
 
 def test_signed_errors_sizes_and_their_units_by_hand():

@@ -215,7 +215,8 @@ class TestFigures:
         assert legend_of(figure) == ["lasso", "stlsq"]
         assert [list(line.get_xdata()) for line in axes.lines] == [[5.0, 20.0, 80.0]] * 2
         part = cases[(cases["title"] == "lasso") & (cases["flights.duration"] == 20.0)]
-        expected = measures.measure("timescale-error").summarise(part)
+        each = measures.measure("timescale-error")
+        expected = each.summary_of(each.values(part))
         assert axes.lines[0].get_ydata()[1] == pytest.approx(expected)
 
     def test_a_legend_names_what_is_drawn_and_twins_are_drawn_once(self):

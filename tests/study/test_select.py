@@ -118,9 +118,9 @@ def test_a_failure_counts_as_a_hundred_percent():
 def test_a_criterion_is_the_summary_of_its_measure(words):
     made = cases({"lasso": (4.0, 4.0)}, failed={("lasso", 3)})
     made["est_timescale"] *= np.random.default_rng(1).uniform(0.9, 1.1, len(made))
-    scored = chosen(made, criterion=words).chosen
+    scored, each = chosen(made, criterion=words).chosen, measure(words)
     for split, value in (("validate", scored.validate), ("evaluate", scored.evaluate)):
-        assert value == pytest.approx(measure(words).summarise(made[made["split"] == split]))
+        assert value == pytest.approx(each.summary_of(each.values(made[made["split"] == split])))
 
 
 TIMES = {"lasso": Latency(0.01, 4.0, 300.0, 50), "stlsq": Latency(0.01, 0.5, 90.0, 50)}
