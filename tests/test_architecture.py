@@ -18,10 +18,10 @@ PACKAGE = Path(__file__).parents[1] / "sparsefit"
 GUIDE = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
 ORDER = GUIDE.partition("stand before it:")[2].partition("`tests/")[0]
 ROOMS = tuple(re.findall(r"`(\w+)`", ORDER))
-BACKEND_ROOMS = {home.partition(":")[0].rpartition(".")[2] for home in BACKENDS.values()}
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy", "glum", "sortedl1", "spams"}
-BRIDGES = {"sklearn": {"sklearn"}, "pysindy": {"pysindy"}}  # rooms that are for users of a peer
+BRIDGES = {"sklearn", "pysindy"}  # rooms that are for users of a peer
+PICKLES = {"pickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}  # of our processes only
 READERS = {"pyulog", "aerofiles", "pyproj"}  # of logs
 NAMED = re.compile(r"sparsefit(\.[a-z_]+)+(:\w+)?")  # what importlib is given
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -73,13 +73,15 @@ def _imports_of(path):
             yield node.value.partition(":")[0], node.lineno
 
 
+def imports():
+    """(path, its room, module, line) of every import of the package."""
+    for path in FILES:
+        yield from ((path, room_of(name_of(path)), *imported) for imported in imports_of(path))
+
+
 def room_of(module):
     parts = module.split(".")
     return parts[1] if len(parts) > 1 and parts[0] == "sparsefit" else None
-
-
-def sources(room):
-    return [path for path in FILES if room_of(name_of(path)) == room]
 
 
 def test_every_room_has_its_place_in_the_order():
@@ -91,12 +93,28 @@ def test_every_room_has_its_place_in_the_order():
 def test_a_room_imports_only_rooms_above_it():
     wrong = [
         f"{name_of(path)}:{line} imports {module}"
-        for place, room in enumerate(ROOMS)
-        for path in sources(room)
-        for module, line in imports_of(path)
-        if room_of(module) in ROOMS[place + 1 :]
+        for path, room, module, line in imports()
+        if room in ROOMS and room_of(module) in ROOMS[ROOMS.index(room) + 1 :]
     ]
     assert not wrong
+
+
+def test_solvers_peers_and_pickles_are_imported_by_those_who_are_for_them():
+    homes = {
+        **{solver: {"backends", "solvers"} for solver in SOLVERS},
+        **{peer: {peer} & BRIDGES for peer in PEERS},
+        **{one: {"sparsefit.study.guardian", "sparsefit.study.worker"} for one in PICKLES},
+    }
+    wrong = [
+        f"{name_of(path)}:{line} imports {module}"
+        for path, room, module, line in imports()
+        if not {room, name_of(path)} & homes.get(module.split(".")[0], {room})
+    ]
+    assert not wrong
+
+
+def test_every_back_end_is_a_class_of_the_solvers():
+    assert all(home.startswith("sparsefit.solvers.") for home in BACKENDS.values())
 
 
 def needs_of(path, modules):
@@ -122,34 +140,6 @@ def test_the_objective_is_numpy_only(name):
         top = module.split(".")[0]
         known = room_of(module) in rooms or top in {"numpy", "scipy"}
         assert known or top in sys.stdlib_module_names, f"line {line} imports {module}"
-
-
-def test_every_back_end_is_a_class_of_the_solvers():
-    rooms = {path.stem for path in sources("solvers")}
-    assert rooms >= BACKEND_ROOMS
-
-
-def test_solvers_are_imported_by_back_ends_only_and_peers_by_their_bridges():
-    wrong = [
-        f"{name_of(path)}:{line} imports {module}"
-        for path in FILES
-        for module, line in imports_of(path)
-        if (top := module.split(".")[0]) in PEERS - BRIDGES.get(room_of(name_of(path)), set())
-        or (top in SOLVERS and room_of(name_of(path)) not in {"backends", "solvers"})
-    ]
-    assert not wrong
-
-
-def test_nothing_pickles():
-    pickling = {"pickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
-    wrong = [
-        f"{name_of(path)}:{line} imports {module}"
-        for path in FILES
-        for module, line in imports_of(path)
-        if module.split(".")[0] in pickling
-        and path.stem not in ("guardian", "worker")  # what one process of ours asks another
-    ]
-    assert not wrong
 
 
 def test_nothing_runs_text_or_pickles_or_opens_a_shell():

@@ -26,20 +26,20 @@ def fitted(optimizer, states):
     return model.fit(states, t=TIMES, feature_names=["x", "y", "z"])
 
 
-def test_stlsq_is_that_of_pysindy(states):
-    backend = backends.get("stlsq", mode="pysindy", threshold=0.2)
-    ours = fitted(Optimizer(backend), states)
-    theirs = fitted(ps.STLSQ(threshold=0.2), states)
+@pytest.mark.parametrize(
+    ("optimizer", "peer"),
+    [
+        (Optimizer(), ps.STLSQ()),
+        (Optimizer("stlsq"), ps.STLSQ()),
+        (Optimizer(backends.get("stlsq", mode="pysindy", threshold=0.2)), ps.STLSQ(threshold=0.2)),
+    ],
+)
+def test_stlsq_is_that_of_pysindy_and_finds_the_noise_free_lorenz_system(states, optimizer, peer):
+    ours, theirs = fitted(optimizer, states), fitted(peer, states)
     assert ours.coefficients() == pytest.approx(theirs.coefficients(), rel=1e-9)
     assert ours.predict(states[:5]) == pytest.approx(theirs.predict(states[:5]), rel=1e-9)
     assert ours.complexity == theirs.complexity == 7
     assert ours.optimizer.status_ == "ok"
-
-
-@pytest.mark.parametrize("name", [None, "stlsq"])
-def test_by_default_it_is_pysindys_own_and_finds_the_noise_free_lorenz_system(states, name):
-    ours = fitted(Optimizer() if name is None else Optimizer(name), states)
-    assert ours.coefficients() == pytest.approx(fitted(ps.STLSQ(), states).coefficients(), rel=1e-9)
     terms = ours.get_feature_names()
     found = {
         ("xyz"[state], terms[term]): ours.coefficients()[state, term]

@@ -2,9 +2,9 @@
 
     v' = (1/tau + c |r|) r_lag + a(t)/mu(t) + q noise,   r = w - v,   r_lag' = (r - r_lag)/lag
 
-by a Runge-Kutta scheme of fourth order on 1/400 s, all flights of a world side by side; logs are
-read off by cubic Hermite interpolation, so that each sensor has its own latency and clock. Flows
-are sums of waves; those without cells are functions. Run by hand, one group of worlds at a time:
+by a Runge-Kutta scheme of fourth order on 1/400 s; logs are read off by cubic splines, so that
+each sensor has its own latency and clock. Flows are sums of waves; those without cells are
+functions. Run by hand, one group of worlds at a time:
 
     python -m tests.worlds own --flights 20
 """
@@ -59,14 +59,13 @@ GROUPS: dict[str, list[World]] = {
         for x, v in ((0.01, 0.05), (0.05, 0.2), (0.2, 0.8))
     ],
     "process": _many("q", "air", "q", (0.1, 0.3, 1.0)),
-    "turbulence10": [
-        World(f"10 % {kind}", air={"turbulence": (0.10, kind)})
-        for kind in ("broad", "karman", "anisotropic", "3d", "bursts")
-    ],
-    "turbulence30": [
-        World(f"30 % {kind}", air={"turbulence": (0.30, kind)})
-        for kind in ("broad", "karman", "anisotropic", "3d", "bursts")
-    ],
+    **{
+        f"turbulence{share}": [
+            World(f"{share} % {kind}", air={"turbulence": (share / 100, kind)})
+            for kind in ("broad", "karman", "anisotropic", "3d", "bursts")
+        ]
+        for share in (10, 30)
+    },
     "own": [
         World("nominal"),
         World("turned", flow={"turn": 45.0}),
@@ -127,11 +126,8 @@ class Truth:
 
 def _cells(rng: np.random.Generator, world: World) -> Truth:
     flow = world.flow
-    length, timescale = (
-        rng.uniform(2, 10),
-        np.exp(rng.uniform(*np.log(flow.get("timescale", (0.1, 1))))),
-    )
-    speed = length / timescale
+    length = rng.uniform(2, 10)
+    speed = length / np.exp(rng.uniform(*np.log(flow.get("timescale", (0.1, 1)))))
     stretch = rng.uniform(*flow["stretch"]) if "stretch" in flow else 1.0
     turn = np.radians(rng.uniform(-1, 1) * flow.get("turn", 0.0))
     shear = np.radians(flow.get("shear", 0.0)) * rng.uniform(0.3, 1)
@@ -170,11 +166,9 @@ def _turbulence(rng: np.random.Generator, kind: str, level: float, length: float
         along = rng.normal(size=(MODES, 2)) * size[:, None] / np.sqrt(2) + 0.7 * along
     phase = rng.uniform(0, 2 * np.pi, MODES)
     height = np.sqrt(power) / size
-    scale = level / np.sqrt(0.25 * np.sum((height[:, None] * along) ** 2))
+    tall = level / np.sqrt(0.25 * np.sum((height[:, None] * along) ** 2)) * height
     omega = rng.normal(size=MODES) * size * 0.3 * level + size ** (2 / 3) * 0.1 * speed / length
-    return np.column_stack(
-        [k, omega, scale * height * np.cos(phase), scale * height * np.sin(phase)]
-    ), along
+    return np.column_stack([k, omega, tall * np.cos(phase), tall * np.sin(phase)]), along
 
 
 def _other(kind: str, rng: np.random.Generator) -> Field:
@@ -192,14 +186,11 @@ def _other(kind: str, rng: np.random.Generator) -> Field:
         if kind == "calm":
             return 0 * x, 0 * x
         if kind in ("jet", "shear", "roll"):
-            u = (
-                speed
-                * {
-                    "jet": 1 / np.cosh(np.clip(across / size, -30, 30)) ** 2,
-                    "shear": across / (5 * size),
-                    "roll": np.sin(np.pi * across / size),
-                }[kind]
-            )
+            u = speed * {
+                "jet": 1 / np.cosh(np.clip(across / size, -30, 30)) ** 2,
+                "shear": across / (5 * size),
+                "roll": np.sin(np.pi * across / size),
+            }[kind]  # fmt: skip
             return c * u, s * u
         dx = (x if kind != "street" else along)[..., None] - centres[:, 0]
         dy = (y if kind != "street" else across)[..., None] - centres[:, 1]
@@ -252,17 +243,13 @@ def _draw(world: World, rng: np.random.Generator) -> tuple[sf.Flight, Truth]:
             if air["turbulence"][1] == "bursts":
                 gust *= 2.0 * np.clip(np.sin(2 * np.pi * (t / period + burst[1])), 0, None)
             total = total + gust
-        return total + ahead * speed * (
-            air.get("wind", 0.0) + air.get("growth", 0.0) * t / duration
-        )
+        wind = air.get("wind", 0.0) + air.get("growth", 0.0) * t / duration
+        return total + ahead * speed * wind
 
     true_tau, quadratic = tau * body.get("tau", 1.0), body.get("quadratic", 0.0)
     turn = np.radians(body.get("turn", 0.0))
-    push = (
-        body.get("thrust", 1.0)
-        * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        @ thrust
-    )
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    push = body.get("thrust", 1.0) * rotation @ thrust
     lag = body.get("lag", 0.0)
 
     def rate_of(state: Floats, t: float) -> Floats:
@@ -291,14 +278,10 @@ def _draw(world: World, rng: np.random.Generator) -> tuple[sf.Flight, Truth]:
         state[2:4] += kicks[i]
     every[-1] = state
     grid = np.arange(steps + 1) * STEP - 0.5
-    decayed = 1.0 - 0.5 * air.get(
-        "decay", 0.0
-    )  # U0 and the time of a decay are those of mid-flight
-    truth = replace(truth, mean_velocity=speed * decayed)
-    flight = _logged(
-        grid, every, rng, rate, duration, sensor, sf.PointMassVehicle(tau, tuple(thrust))
-    )
-    return flight, truth
+    decayed = 1.0 - 0.5 * air.get("decay", 0.0)  # U0 is that of mid-flight
+    believed = sf.PointMassVehicle(tau, tuple(thrust))
+    flight = _logged(grid, every, rng, rate, duration, sensor, believed)
+    return flight, replace(truth, mean_velocity=speed * decayed)
 
 
 def _logged(grid, every, rng, rate, duration, sensor, vehicle) -> sf.Flight:
@@ -326,22 +309,17 @@ def _logged(grid, every, rng, rate, duration, sensor, vehicle) -> sf.Flight:
         v = v + sensor["bias"] * np.array([np.cos(ahead), np.sin(ahead)])
     noise = sensor.get("noise", (0.05, 0.2))
     tails = sensor.get("tails")
-    unit = (
-        (lambda: rng.standard_t(tails, x.shape) / np.sqrt(3.0))
-        if tails
-        else (lambda: rng.normal(size=x.shape))
-    )
+
+    def unit() -> Floats:
+        return rng.standard_t(tails, x.shape) / np.sqrt(3.0) if tails else rng.normal(size=x.shape)
+
     x, v = x + noise[0] * unit(), v + noise[1] * unit()
     steps = np.diff(stamps, prepend=stamps[0])
     if "markov" in sensor:
         wander, size = np.zeros(2), sensor["markov"]
         for i, step in enumerate(steps):
-            share = np.exp(-step / 5.0)
-            wander = (
-                wander * share + rng.normal(size=2) * size * np.sqrt(1 - share**2)
-                if i
-                else rng.normal(size=2) * size
-            )
+            share = np.exp(-step / 5.0) if i else 0.0
+            wander = wander * share + rng.normal(size=2) * size * np.sqrt(1 - share**2)
             x[i] += wander
     if "walk" in sensor:
         x += np.cumsum(rng.normal(size=x.shape) * sensor["walk"] * np.sqrt(steps)[:, None], axis=0)

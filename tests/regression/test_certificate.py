@@ -75,15 +75,10 @@ def lasso_by_enumeration(theta, target, rms, alpha):
                 v[j] = value
         if any(v[j] * signs[j] < 0 for j in on):
             continue  # not this orthant
-        value = primal_exactly(z, y, v, penalty)
+        square = mp.fsum(r**2 for r in y - z * v)
+        value = square / (2 * m) + penalty * mp.fsum(abs(x) for x in v)
         best = value if best is None or value < best else best
-    return z, y, best
-
-
-def primal_exactly(z, y, v, alpha):
-    residual = y - z * v
-    size = mp.fsum(abs(x) for x in v)
-    return mp.fsum(r**2 for r in residual) / (2 * z.rows) + alpha * size
+    return best
 
 
 @both
@@ -92,35 +87,25 @@ def test_gap_bounds_the_true_suboptimality_in_high_precision(seed, source):
     rng = np.random.default_rng(seed)
     theta, target = rng.normal(size=(7, 3)) * [1.0, 1e3, 1e-3], rng.normal(size=(7, 1))
     s = statistics_of(theta, target)
-    alpha = float(rng.uniform(0.05, 0.9)) * alpha_max(s.cross, lasso_penalty(3))
+    fraction = float(rng.uniform(0.05, 0.9))
+    alpha = fraction * alpha_max(s.cross, lasso_penalty(3))
     with mp.workdps(50):
-        z, y, optimum = lasso_by_enumeration(theta, target, s.rms, alpha)
+        optimum = lasso_by_enumeration(theta, target, s.rms, alpha)
         for size in (1.0, 1e-2, 1e-5):
             weights = (rng.normal(size=(3, 1)) * size) / s.rms[:, None]
             found = certify(theta, target, weights, alpha, lasso_penalty(3), source)
-            v = mp.matrix(
-                [mp.mpf(w) * mp.mpf(r) for w, r in zip(weights[:, 0], s.rms, strict=True)]
-            )
-            exact = primal_exactly(z, y, v, mp.mpf(alpha))
+            exact, _ = exactly(theta, target, s.rms, weights, alpha, lasso_penalty(3))
             null = s.null_objective
             assert abs(found.primal - float(exact)) <= 1e-14 * null
             assert found.dual <= float(optimum) + 1e-14 * null
             assert found.value * null >= float(exact - optimum) - 1e-14 * null
             assert found.value + found.rounding >= (exact - optimum) / null
             assert found.rounding <= 1e-12 * (1 + np.abs(weights * s.rms[:, None]).sum()) ** 2
-
-
-def test_gap_is_tight_at_the_high_precision_solution():
-    rng = np.random.default_rng(5)
-    theta, target = rng.normal(size=(9, 3)), rng.normal(size=(9, 1))
-    s = statistics_of(theta, target)
-    alpha = 0.3 * alpha_max(s.cross, lasso_penalty(3))
     problem = RegressionProblem.from_arrays(theta, target)
-    weights = backends.get("lasso", alpha_fraction=0.3).solve(problem).weights
-    found = certify(theta, target, weights, alpha, lasso_penalty(3))
-    optimum = lasso_by_enumeration(theta, target, s.rms, alpha)[2]
-    assert found.primal == pytest.approx(float(optimum), rel=1e-14)
-    assert found.dual == pytest.approx(float(optimum), rel=1e-13)
+    weights = backends.get("lasso", alpha_fraction=fraction).solve(problem).weights
+    tight = certify(theta, target, weights, alpha, lasso_penalty(3), source)
+    assert tight.primal == pytest.approx(float(optimum), rel=1e-14)
+    assert tight.dual == pytest.approx(float(optimum), rel=1e-13)
 
 
 @both

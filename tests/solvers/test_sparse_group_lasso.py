@@ -1,4 +1,4 @@
-"""The sparse-group LASSO against cvxpy, brute force and its two ends."""
+"""The sparse-group LASSO against cvxpy, its two ends and a path cut short."""
 
 import dataclasses
 
