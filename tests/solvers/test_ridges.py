@@ -14,8 +14,6 @@ from sparsefit.regression.penalties import AbsoluteValues, alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import regular
 
-FRACTIONS = [0.7, 0.1, 0.01, 0.001]
-
 
 @pytest.mark.parametrize("fraction", [0.5, 0.05])
 @pytest.mark.parametrize("ratio", [0.9, 0.2])
@@ -50,12 +48,6 @@ def test_a_ridge_that_rounds_away_is_least_squares():
     assert found.status == "inaccurate" or found.certificate.proves(1e-8)
     least = sf.fit(regular(), "least-squares").weights
     np.testing.assert_allclose(found.weights, least, atol=1e-12)
-
-
-def test_an_elastic_net_of_ratio_one_is_the_lasso():
-    problem = regular(6)
-    net = sf.path(problem, backends.get("elastic-net", l1_ratio=1.0), FRACTIONS)
-    assert np.array_equal(net.weights, sf.path(problem, backends.get("lasso"), FRACTIONS).weights)
 
 
 @given(seed=st.integers(0, 10**6), ratio=st.floats(0.05, 1.0), size=st.floats(0.0, 2.0))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
+from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.registry import solver
 from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
 
@@ -54,12 +55,39 @@ CONVEX = [
     ("adaptive-group-lasso", {}, (2,)),
 ]
 
+ENDS = [  # (a back-end at the end of a setting, the simpler one that it is there, how nearly)
+    ("adaptive-lasso", {"power": 0.0}, "lasso", {}, 1e-9),
+    ("adaptive-group-lasso", {"power": 0.0}, "group-lasso", {}, 1e-9),
+    ("group-mcp", {"gamma": 1e9}, "group-lasso", {}, 1e-5),
+    ("elastic-net", {"l1_ratio": 1.0}, "lasso", {}, 0.0),
+    *(
+        ("sparse-group-lasso", {"l1_ratio": ratio, "separate": separate}, name, more, 1e-5)
+        for separate in (True, False)
+        for ends, name, more in (
+            ((0.0, 1e-10), "group-lasso", {"separate": separate}),
+            ((1.0, 1.0 - 1e-10), "lasso", {}),
+        )
+        for ratio in ends
+    ),
+]
+
 
 @pytest.mark.parametrize(("name", "key", "value", "words"), REFUSED)
 def test_bad_settings_are_refused_in_a_line(name, key, value, words):
     with pytest.raises(InputError, match=words) as caught:
         backends.get(name, **{key: value})
     assert name in str(caught.value)
+
+
+@pytest.mark.parametrize(("name", "more", "simpler", "others", "reach"), ENDS)
+def test_a_back_end_is_a_simpler_one_at_its_end(name, more, simpler, others, reach):
+    groups = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
+    problem = RegressionProblem.from_arrays(regular(1).theta, regular(1).target, groups)
+    fractions = [0.7, 0.2, 0.05, 0.001]
+    along = sf.path(problem, backends.get(name, **more), fractions)
+    plain = sf.path(problem, backends.get(simpler, **others), fractions)
+    assert [fit.status for fit in along.fits] == ["ok"] * 4
+    assert along.weights == pytest.approx(plain.weights, rel=0.0, abs=reach)
 
 
 @pytest.mark.parametrize("kind", DEGENERATE_KINDS)

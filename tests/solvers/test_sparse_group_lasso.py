@@ -1,4 +1,4 @@
-"""The sparse-group LASSO against cvxpy, its two ends and a path cut short."""
+"""The sparse-group LASSO against cvxpy, and a path of it that is cut short."""
 
 import dataclasses
 
@@ -12,7 +12,6 @@ from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from tests.problems import regular
 
-FRACTIONS = [0.7, 0.2, 0.05]
 UNEQUAL = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
 WAVES = [0, 1, 1, 2, 2, 3, 4, 4, 5, 5, 6, 6]  # within the groups above
 
@@ -51,19 +50,6 @@ def test_a_naive_model_of_the_rows_agrees(separate, ratio, subgroups):
     other = sf.fit(problem, dataclasses.replace(found.backend, solver="clarabel"))
     assert other.status == "ok", other.reason
     assert other.certificate.primal == pytest.approx(found.certificate.primal, rel=1e-8)
-
-
-@pytest.mark.parametrize(("ratio", "name"), [(0.0, "group-lasso"), (1.0, "lasso")])
-@pytest.mark.parametrize("separate", [True, False])
-def test_its_ends_are_the_group_lasso_and_the_lasso(ratio, name, separate):
-    problem = nested(subgroups=None)
-    more = {"separate": separate} if name == "group-lasso" else {}
-    end = sf.path(problem, backends.get(name, **more), FRACTIONS)
-    for near in (ratio, abs(ratio - 1e-10)):
-        backend = backends.get("sparse-group-lasso", l1_ratio=near, separate=separate)
-        along = sf.path(problem, backend, FRACTIONS)
-        assert [fit.status for fit in along.fits] == ["ok"] * 3
-        assert along.weights == pytest.approx(end.weights, abs=1e-5)
 
 
 def test_a_path_that_is_cut_short_is_reported_as_incomplete(monkeypatch):
