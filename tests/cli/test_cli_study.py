@@ -6,6 +6,7 @@ import os
 import shutil
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -17,25 +18,11 @@ from sparsefit.study.export import read_cases
 from sparsefit.study.latency import Latency
 from sparsefit.study.study import Study
 from tests.cli.verbs import refused, run
+from tests.study.small_study import small_study
 
-STUDY = """
-name = "small"
-question = "Does it run?"
-seed = 1
-[flights]
-count = 4
-timescale = { linspace = [0.2, 1.0] }
-length_scale = { uniform = [3.0, 5.0] }
-response_time = 0.5
-thrust_acceleration = [5.0, 3.0]
-duration = 2.0
-sample_rate = 50.0
+STUDY = f"""{small_study("small", count=4, seed=1, duration=2.0)}
 [readout]
 refine = "none"
-[library]
-lower = 3.0
-upper = 5.0
-step = 0.5
 [[backends]]
 name = "lasso"
 alpha_fraction = [0.01, 0.1]
@@ -85,13 +72,6 @@ def finished(home, tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def fresh(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("small.toml").write_text(STUDY)
-    return "small.toml"
-
-
-@pytest.fixture
 def half(home, tmp_path, monkeypatch):
     """The study with the cases of one of its two back-ends."""
     shutil.copytree(f"{home}-half", tmp_path, dirs_exist_ok=True)
@@ -99,16 +79,12 @@ def half(home, tmp_path, monkeypatch):
     return "small.toml"
 
 
-def test_check_says_on_one_line_what_is_planned(capsys, fresh):
-    code, out, _ = run(capsys, "study", "check", fresh)
+def test_check_and_plan_say_what_is_planned(capsys, half):
+    code, out, _ = run(capsys, "study", "check", half)
     assert (code, out) == (0, f"small.toml: ok, study small plans {PLANNED} cases\n")
-    assert json.loads(run(capsys, "study", "check", fresh, "--json")[1])["cases"] == PLANNED
-
-
-def test_plan_counts(capsys, fresh):
-    _, out, _ = run(capsys, "study", "plan", fresh)
-    assert "level library.target" in out
-    record = json.loads(run(capsys, "study", "plan", fresh, "--json")[1])
+    assert json.loads(run(capsys, "study", "check", half, "--json")[1])["cases"] == PLANNED
+    assert "level library.target" in run(capsys, "study", "plan", half)[1]
+    record = json.loads(run(capsys, "study", "plan", half, "--json")[1])
     assert (record["units"], len(record["conditions"]), len(record["candidates"])) == (4, 2, 12)
     assert (record["cases"], record["tables"]) == (PLANNED, ["errors", "times"])
 
@@ -124,7 +100,7 @@ def test_keys_of_a_section_are_listed(capsys):
 def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
     code, out, err = run(capsys, "study", "run", finished)
     assert (code, err) == (0, "")
-    assert out.startswith("small: Does it run?\nMedian |error| of τ_w, over ")
+    assert out.startswith("small: ?\nMedian |error| of τ_w, over ")
     headline = out.splitlines()[1]
     assert headline.replace("|", "\\|") in Path("results/small/README.md").read_text()
     assert f"nothing to run: all {PLANNED} cases were there (64 ok, 32 unidentifiable)" in out
@@ -145,12 +121,9 @@ def test_run_goes_on_where_it_was_stopped(home):
 
 
 @pytest.mark.parametrize("fresh_run", [False, True])
-def test_ctrl_c_says_how_to_go_on(capsys, fresh, monkeypatch, fresh_run):
-    def interrupted(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(study, "run", interrupted)
-    code, _, err = run(capsys, "study", "run", fresh, *["--fresh"] * fresh_run)
+def test_ctrl_c_says_how_to_go_on(capsys, half, monkeypatch, fresh_run):
+    monkeypatch.setattr(study, "run", Mock(side_effect=KeyboardInterrupt))
+    code, _, err = run(capsys, "study", "run", half, *["--fresh"] * fresh_run)
     again = "without --fresh to continue" if fresh_run else "again to continue"
     assert code == 130
     assert err.strip().startswith("stopped; run the same command")
@@ -170,13 +143,17 @@ def test_lines_are_few_and_truthful(capsys, monkeypatch):
     ]
 
 
-def test_status(capsys, half, home):
+def test_a_stopped_study_tells_how_far_it_is(capsys, half):
     _, out, _ = run(capsys, "study", "status", half)
     assert out == "small: not finished, 32 of 96 cases (32 unidentifiable) in results/small\n"
     found = json.loads(run(capsys, "study", "status", half, "--json")[1])
     assert (found["finished"], found["done"]) == (False, 32)
     out = run(capsys, "study", "status", half, "--results", "elsewhere")[1]
     assert "small: not begun, 0 of 96 cases" in out
+    assert "32 of 32 cases are not ok (not finished" in run(capsys, "study", "errors", half)[1]
+    assert "32 of 96 planned cases" in run(capsys, "study", "show", half)[1]
+    assert "run" in refused(capsys, "select", half)
+    assert "32 of 96 cases are there" in refused(capsys, "study", "report", half)
 
 
 def test_errors_are_grouped_by_reason(capsys, finished):
@@ -187,15 +164,10 @@ def test_errors_are_grouped_by_reason(capsys, finished):
     assert group["first_case"].startswith("0000-")
 
 
-def test_errors_and_tables_of_a_stopped_study(capsys, half):
-    assert "32 of 32 cases are not ok (not finished" in run(capsys, "study", "errors", half)[1]
-    assert "32 of 96 planned cases" in run(capsys, "study", "show", half)[1]
-
-
 def test_show_prints_the_tables(capsys, finished):
     code, out, _ = run(capsys, "study", "show", finished)
     assert code == 0
-    assert out.startswith("small: Does it run?\nMedian |error| of τ_w, over ")
+    assert out.startswith("small: ?\nMedian |error| of τ_w, over ")
     assert "96 of 96 planned cases" in out
     assert "Times and certificates" in out
     _, out, _ = run(capsys, "study", "show", finished, "--table", "errors-absolute")
@@ -244,7 +216,7 @@ def test_select_writes_the_estimator_of_the_winner(capsys, finished):
     assert estimator.backend.alpha_fraction == found["settings"]["alpha_fraction"]
     assert estimator.library.target == found["factors"]["library.target"]
     assert estimator.derivative.method == {"default": "auto", "paper": "forward"}[found["protocol"]]
-    assert estimator.library.grid.step == 0.5
+    assert estimator.library.grid.upper == 6.0
     assert json.loads(text)["provenance"]["study_hash"] == Study.from_file(finished).hash
 
 
@@ -271,16 +243,13 @@ def test_select_times_what_keeps_the_constraints_once(capsys, finished, monkeypa
 
 def test_select_checks_the_choice_on_fresh_flights_once(capsys, finished):
     options = (*UNTIMED, "--max-failure", "0.5", "--processes", "1", "--force", "--check")
-    code, out, err = run(capsys, "select", finished, *options, "3")
+    code, out, _ = run(capsys, "select", finished, *options, "3")
     assert code == 0
-    assert "Fresh seeds: " in out
-    assert "Fresh seeds: " in Path("results/small/evidence.md").read_text()
-    cases = read_cases("results/small/fresh")
-    study = Study.from_file(finished)
-    trues = set(cases["true_length_scale"])
+    for text in (out, Path("results/small/evidence.md").read_text()):
+        assert "Fresh seeds: " in text
+    trues = set(read_cases("results/small/fresh")["true_length_scale"])
     assert len(trues) == 3
     assert trues.isdisjoint(read_cases("results/small")["true_length_scale"])
-    assert study.name == "small"
     _, again, err = run(capsys, "select", finished, *options, "3")
     assert (again, err) == (out, "")
 
@@ -312,28 +281,23 @@ def test_select_refuses(capsys, finished, options, words):
     assert words in refused(capsys, "select", finished, *UNTIMED, *options)
 
 
-def test_what_needs_a_finished_study_refuses_another(capsys, half):
-    assert "run" in refused(capsys, "select", half)
-    assert "32 of 96 cases are there" in refused(capsys, "study", "report", half)
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('criterion = "mean timescale-eror"', "[select] criterion: unknown measure"),
+        ('over = "velocity noise 0.2 m/s"', "unknown regime in over ="),
+        ("max_failur = 0.1", 'did you mean "max_failure"?'),
+    ],
+)
+def test_a_rule_of_selection_that_is_none_is_refused(capsys, half, text, words):
+    Path("bad.toml").write_text(f"{STUDY}[select]\n{text}")
+    for action in ("check", "run"):
+        assert words in refused(capsys, "study", action, "bad.toml")
 
 
-def test_study_files_that_are_none_are_refused(capsys, fresh):
-    """What lies in [select] and [outputs], beside what `test_definition` has."""
-    for text, words in (
-        ("name = ", "bad.toml:1: not TOML"),
-        (STUDY.replace("threshold", "treshold"), 'did you mean "threshold"?'),
-        (
-            f'{STUDY}[select]\ncriterion = "mean timescale-eror"',
-            "[select] criterion: unknown measure",
-        ),
-        (f'{STUDY}[select]\nover = "velocity noise 0.2 m/s"', "unknown regime in over ="),
-        (f"{STUDY}[select]\nmax_failur = 0.1", 'did you mean "max_failure"?'),
-    ):
-        Path("bad.toml").write_text(text)
-        assert words in refused(capsys, "study", "check", "bad.toml")
-    assert words in refused(capsys, "study", "run", "bad.toml")
-    for name in ("missing.toml", "."):
-        assert name in refused(capsys, "study", "check", name)
+@pytest.mark.parametrize("name", ["missing.toml", "."])
+def test_a_study_file_that_is_none_is_refused(capsys, half, name):
+    assert name in refused(capsys, "study", "check", name)
 
 
 def test_results_of_another_study_are_refused(capsys, finished):

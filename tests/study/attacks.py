@@ -25,10 +25,11 @@ import numpy as np
 
 import sparsefit as sf
 from sparsefit.errors import InputError
+from sparsefit.study.export import CASES
 from sparsefit.study.guardian import children_of
 from sparsefit.study.store import STORE, Store
 from tests.study import hostile
-from tests.study.small_study import small_study
+from tests.study.small_study import CORRELATED, PROBLEMS, small_study
 
 ROOT = Path(__file__).parents[2]
 DRIVER = """
@@ -50,28 +51,11 @@ name = "least-squares"
 name = "hostile"
 seconds = 0.02
 """
-PROBLEMS = """
-name = "p"
-kind = "problems"
-question = "?"
-tolerances = [1e-4, 1e-6]
-[path]
-points = 3
-lowest = 0.1
-[clock]
-repeats = 6
-seconds = 0.2
-limit = 2.0
-[[problems]]
-generator = "correlated"
-samples = 60
-columns = 20
-"""
 LASSO = '[[backends]]\nname = "lasso"\nsolver = ["homotopy", "celer"]\n'
 
 
 def study_of(folder, kind, count):
-    text = f"{PROBLEMS}count = {count}\n{LASSO}"
+    text = f"{PROBLEMS}{CORRELATED}count = {count}\n{LASSO}"
     if kind == "flights":
         text = small_study("f", count=count) + FLIGHTS
     (folder / "s.toml").write_text(text)
@@ -95,6 +79,22 @@ def stored(folder):
         return {}
     finally:
         base.close()
+
+
+def until(condition, seconds=120.0):
+    """Wait until it holds."""
+    limit = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < limit, "waited too long"
+        time.sleep(0.02)
+
+
+def unpack(study):
+    """Put the rows of `cases.parquet` into `cases.sqlite`, as if the study were not finished."""
+    with Store.opened(study.folder, study.planned) as store:
+        for row in list(store.rows()):
+            store.put_row(row)
+    (study.folder / CASES).unlink()
 
 
 def kills(count):
@@ -173,9 +173,7 @@ def damaged(study, count):
     """How many of so many damaged copies of a finished study told wrong rows, or were refused."""
     wrong, refused = 0, 0
     exported = {path.name: path.read_bytes() for path in study.folder.iterdir()}
-    with Store.opened(study.folder, study.planned) as store:
-        for row in list(store.rows()):
-            store.put_row(row)
+    unpack(study)
     whole = (study.folder / STORE).read_bytes()
     expected = {row.key: row for row in Store.read(study.folder, study.planned).rows()}
     for seed in range(count):

@@ -30,21 +30,18 @@ ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\n"
 
 @dataclass(frozen=True)
 class Hostile:
-    """deed: what it does to the share of all problems that `rarely` tells; else least squares."""
+    """deed: what it does to a problem before least squares, or in their place."""
 
     name: ClassVar[str] = "hostile"
     certificate_kind: ClassVar[str] = "fixed_point"
     deed: str = "work"
     seconds: float = 0.0
-    rarely: float = 1.0
 
     def solve(self, problem):
         time.sleep(self.seconds)
-        if zlib.crc32(problem.target.tobytes()) < self.rarely * 2.0**32:
-            solution = do(self.deed)
-            if solution is not None:
-                return solution
-        return Solution(np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0])
+        return do(self.deed) or Solution(
+            np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0]
+        )
 
     def next_weights(self, problem, weights):
         return np.linalg.lstsq(problem.theta, problem.target, rcond=1e-2)[0]

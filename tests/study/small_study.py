@@ -1,4 +1,19 @@
-"""The small study that several tests run: flights of 50 samples and a grid of four scales."""
+"""The small studies that several tests run, of problems and of flights of 50 samples."""
+
+PROBLEMS = """
+name = "p"
+kind = "problems"
+question = "Who?"
+tolerances = [1e-4]
+[path]
+points = 4
+lowest = 0.1
+[clock]
+limit = 5.0
+repeats = 4
+seconds = 0.5
+"""
+CORRELATED = '[[problems]]\ngenerator = "correlated"\nsamples = 60\ncolumns = 20\n'
 
 
 def small_study(name: str, *, count: int, seed: int = 3, duration: float = 1.0) -> str:

@@ -15,6 +15,7 @@ from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, fly
 from sparsefit.study.quantities import FlightWords
 from sparsefit.study.study import Study
+from tests.study.small_study import small_study
 
 VALUES = {"mean_velocity": 8.0, "length_scale": 4.0, "duration": 2.0, "sample_rate": 50.0}
 PUSH = {"thrust_x": 5.0, "thrust_y": 3.0}
@@ -60,33 +61,16 @@ def test_a_thrust_that_turns_is_measured_or_not():
     np.testing.assert_array_equal(blind.velocity, flight.velocity)
 
 
-TEXT = """
-name = "together"
-question = "How many?"
-seed = 5
-[flights]
-count = 2
-mean_velocity = 10.0
-length_scale = 4.0
-response_time = 0.5
-duration = 2.0
-sample_rate = 50.0
-process_noise = 1.0
-{more}
-[[backends]]
-name = "best-scale"
-{sweep}
-"""
-
-
-def together(tmp_path, more="", sweep=""):
+def together(tmp_path, more="", rest=""):
+    text = small_study("together", count=2, seed=5, duration=2.0)
+    text = text.replace("[library]", f"process_noise = 1.0\n{more}\n[library]")
     path = tmp_path / "together.toml"
-    path.write_text(TEXT.format(more=more, sweep=sweep))
+    path.write_text(f'{text}[[backends]]\nname = "best-scale"\n{rest}')
     return Study.from_file(path)
 
 
 def test_more_flights_hold_the_fewer_and_are_bounded_together(tmp_path):
-    swept = together(tmp_path, sweep='[sweep]\n"flights.together" = [1.0, 3.0]')
+    swept = together(tmp_path, rest='[sweep]\n"flights.together" = [1.0, 3.0]')
     rules = [cell.setup.flights for cell in swept.definition.flights.cells]
     both = [fly(swept.definition, 1, each) for each in rules]
     (one, least), (three, less) = ((flown.fleet, flown.bounds) for flown in both)
@@ -98,7 +82,7 @@ def test_more_flights_hold_the_fewer_and_are_bounded_together(tmp_path):
 
 
 def test_the_bound_is_no_less_than_that_of_known_phases(tmp_path):
-    swept = together(tmp_path, sweep='[sweep]\n"flights.together" = [1.0, 3.0]')
+    swept = together(tmp_path, rest='[sweep]\n"flights.together" = [1.0, 3.0]')
     cell = swept.definition.flights.cells[0]
     flown, draw = fly(swept.definition, 1, cell.setup.flights), cell.setup.flights.draw(1, 2, 5)
     flow, steps = draw.flow, ((1e-6, 0.0), (0.0, 1e-6))
@@ -215,7 +199,7 @@ def test_bad_logs_are_refused_by_key(folder, old, new, message):
 
 def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
     peak = '[[protocols]]\nname = "rms"\n[[protocols]]\nname = "paper"\n'
-    study = together(tmp_path, sweep=peak + '"readout.mean_velocity" = "paper"')
+    study = together(tmp_path, rest=peak + '"readout.mean_velocity" = "paper"')
     assert study.plan()["title"].unique().tolist() == [
         "rms: best-scale",
         "paper: best-scale",
@@ -228,6 +212,6 @@ def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
     assert not set(flown.plan()["identity"]) & set(study.plan()["identity"])
     (row,) = FlightDesk(flown.definition).cases(0, [0])["rows"]
     assert row[1] == "unidentifiable"  # two seconds are few for a board
-    alone = together(tmp_path, '[readout]\nmean_velocity = "paper"')
+    alone = together(tmp_path, rest='[readout]\nmean_velocity = "paper"')
     with pytest.raises(InputError, match="no candidate can fly"):
         _ = alone.refusals

@@ -6,7 +6,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import time
+from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -26,12 +26,7 @@ ROOT = Path(__file__).parents[2]
 LASSO = '[[backends]]\nname = "lasso"\nalpha_fraction = [0.3, 0.1]\n'
 SQUARES = '[[backends]]\nname = "least-squares"\n'
 SWEEP = '[sweep]\n"flights.velocity_noise" = [0.0, 0.2]\n'
-DRIVER = """
-import sys
-import sparsefit as sf
-if __name__ == "__main__":
-    sf.Study.from_file(sys.argv[1]).run(processes=int(sys.argv[2]))
-"""
+WHOLE = LASSO + SQUARES + SWEEP
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -48,8 +43,8 @@ def plugin(tmp_path_factory):
 
 def load(folder, body, *, count=3, timeout=30.0, name="r"):
     text = f"{small_study(name, count=count)}[run]\ncase_timeout = {timeout}\n{body}"
-    (folder / "r.toml").write_text(text)
-    return sf.Study.from_file(folder / "r.toml")
+    (folder / "s.toml").write_text(text)
+    return sf.Study.from_file(folder / "s.toml")
 
 
 def deeds(*names):
@@ -66,41 +61,10 @@ def by_deed(cases):
     return named | {json.loads(row.settings)["deed"]: row for row in hostile_ones}
 
 
-def start(folder, processes=2):
-    (folder / "driver.py").write_text(DRIVER)
-    command = [sys.executable, str(folder / "driver.py"), str(folder / "r.toml"), str(processes)]
-    return subprocess.Popen(
-        command,
-        start_new_session=True,
-        # A shell that runs the tests in the background has its children ignore SIGINT.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-
-
-def rows(folder):
-    path = folder / STORE
-    if not path.exists():
-        return 0
-    base = sqlite3.connect(path, timeout=10.0)
-    try:
-        return base.execute("SELECT count(*) FROM cases").fetchone()[0]
-    except sqlite3.OperationalError:
-        return 0
-    finally:
-        base.close()
-
-
-def until(condition, seconds=120.0):
-    limit = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < limit, "waited too long"
-        time.sleep(0.02)
-
-
 @pytest.fixture(scope="module")
 def whole(plugin, tmp_path_factory):
     """A study of three flights that ran undisturbed."""
-    study = load(tmp_path_factory.mktemp("whole"), LASSO + SQUARES + SWEEP)
+    study = load(tmp_path_factory.mktemp("whole"), WHOLE)
     return study, study.run(processes=1)
 
 
@@ -121,35 +85,33 @@ def test_a_run_leaves_every_case_in_plan_order(whole):
 def test_killed_and_resumed_is_as_if_never_killed(whole, tmp_path, victim):
     body = LASSO + SQUARES + '[[backends]]\nname = "hostile"\nseconds = 0.2\n' + SWEEP
     study = load(tmp_path, body)
-    process = start(tmp_path, processes=2 if victim == "worker" else 1)
-    until(lambda: rows(study.folder) > 2 or process.poll() is not None)
+    process = attacks.started(tmp_path, 2 if victim == "worker" else 1)
+    attacks.until(lambda: len(attacks.stored(study.folder)) > 2 or process.poll() is not None)
     if victim == "worker":
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        for child in children:
-            os.kill(int(child), signal.SIGKILL)
+        for child in attacks.children_of(process.pid):
+            os.kill(child, signal.SIGKILL)
         assert process.wait(120.0) == 0
     else:
         os.kill(process.pid, signal.SIGKILL)
         process.wait(10.0)
         assert study.status().done > 0
         study.run(processes=1)
-    cases = stable(study.folder)
-    expected = stable(whole[0].folder)
-    mine = cases[cases["backend"] != "hostile"].reset_index(drop=True)
+    cases, expected = (stable(each.folder).set_index("case_id") for each in (study, whole[0]))
+    mine = cases[cases["backend"] != "hostile"]
     if victim == "worker":  # what was at work when it died may be its own case's end
-        mine, expected = (f[f["status"] != "crashed"] for f in (mine, expected))
+        mine = mine[mine["status"] != "crashed"]
         assert len(mine) >= len(expected) - 2
-        shared = mine["case_id"]
-        expected = expected[expected["case_id"].isin(shared)].reset_index(drop=True)
-        mine = mine.reset_index(drop=True)
+        expected = expected.loc[mine.index]
     pd.testing.assert_frame_equal(mine, expected)
     assert len(cases) == study.planned.size
 
 
 def test_an_interrupt_keeps_the_rows_so_far(tmp_path):
     study = load(tmp_path, '[[backends]]\nname = "hostile"\nseconds = 0.3\n', count=20)
-    process = start(tmp_path, processes=1)
-    until(lambda: rows(study.folder) > 0 or process.poll() is not None)
+    # A shell that runs the tests in the background has its children ignore SIGINT.
+    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = attacks.started(tmp_path, 1, preexec_fn=heard)
+    attacks.until(lambda: attacks.stored(study.folder) or process.poll() is not None)
     os.kill(process.pid, signal.SIGINT)
     assert process.wait(60.0) != 0
     done = study.status().done
@@ -163,8 +125,8 @@ def test_deeds_of_a_back_end_are_its_own_rows(tmp_path, whole, capfd):
     names = ("work", "fork", "print", "name", "status", *lies, "hang-native", "raise", "memory")
     text = small_study("r", count=1) + "[run]\ncase_timeout = 3.0\nmax_memory = 1500\n"
     text += deeds(*names) + LASSO + SQUARES
-    (tmp_path / "r.toml").write_text(text)
-    study = sf.Study.from_file(tmp_path / "r.toml")
+    (tmp_path / "s.toml").write_text(text)
+    study = sf.Study.from_file(tmp_path / "s.toml")
     cases = read_cases(study.run(processes=1).folder)
     assert len(cases) == study.planned.size
     ours = cases["backend"].isin(["lasso", "least-squares"])
@@ -192,28 +154,25 @@ def test_deeds_of_a_back_end_are_its_own_rows(tmp_path, whole, capfd):
 
 def test_a_path_that_hangs_blames_one_of_its_cases(tmp_path):
     """Cases that share a path are tried one by one when it is lost."""
-    grid = '[[backends]]\nname = "hostile"\ndeed = ["work", "hang"]\nrarely = [1.0]\n'
-    study = load(tmp_path, grid, count=1, timeout=2.0)
+    study = load(tmp_path, deeds("work", "hang"), count=1, timeout=2.0)
     cases = by_deed(read_cases(study.run(processes=1).folder))
     assert cases["hang"].status == "timeout"
     assert cases["work"].status in ("ok", "unidentifiable")
 
 
-def changed(whole, tmp_path, body, **how):
+def changed(whole, tmp_path, body):
     """The finished study's folder beside a study file that differs."""
-    study = load(tmp_path, body, **how)
+    study = load(tmp_path, body)
     study.folder.mkdir(parents=True)
     for path in whole[0].folder.iterdir():
         (study.folder / path.name).write_bytes(path.read_bytes())
     return study
 
 
-def unpack(study):
-    """Put the rows of `cases.parquet` into `cases.sqlite`, as if the study were not finished."""
-    with Store.opened(study.folder, study.planned) as store:
-        for row in list(store.rows()):
-            store.put_row(row)
-    (study.folder / CASES).unlink()
+@pytest.fixture
+def copied(whole, tmp_path):
+    """The finished study once more, in a folder of its own."""
+    return changed(whole, tmp_path, WHOLE)
 
 
 def test_a_changed_study_computes_its_new_cases_and_keeps_what_it_drops(whole, tmp_path):
@@ -221,8 +180,7 @@ def test_a_changed_study_computes_its_new_cases_and_keeps_what_it_drops(whole, t
     summary = study.run(processes=1)
     assert (summary.resumed, summary.computed, summary.dropped) == (6, 6, 12)
     assert (study.folder / STORE).exists()
-    load(tmp_path, LASSO + SQUARES + SWEEP)
-    back = sf.Study.from_file(tmp_path / "r.toml")
+    back = load(tmp_path, WHOLE)
     assert back.status().done == 18
     assert back.run(processes=1).computed == 0
     pd.testing.assert_frame_equal(stable(back.folder), stable(whole[0].folder))
@@ -230,11 +188,11 @@ def test_a_changed_study_computes_its_new_cases_and_keeps_what_it_drops(whole, t
 
 def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
     split = "[split]\nvalidate = 1\nevaluate = 2"
-    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP + split)
+    study = changed(whole, tmp_path, WHOLE + split)
     with pytest.raises(InputError, match='nothing in study r is called "laso"'):
         study.run(only=["laso"])
     monkeypatch.setattr(manifest, "_digest", lambda: "other")
-    later = sf.Study.from_file(tmp_path / "r.toml")
+    later = sf.Study.from_file(tmp_path / "s.toml")
     assert later.status().stale == 18
     summary = later.run(processes=1, stale=True, only=["least-squares"])
     assert (summary.computed, summary.stale) == (6, 12)
@@ -245,48 +203,38 @@ def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
     assert later.run(processes=1, fresh=True, only=[later.plan()["case_id"][3]]).done == 1
 
 
-def test_rows_of_another_study_are_refused_and_not_dropped(whole, tmp_path):
-    other = changed(whole, tmp_path, SQUARES.replace("least-squares", "stlsq"))
-    with pytest.raises(InputError, match="made by a different study"):
-        other.run()
-    assert (other.folder / CASES).exists()
-
-
-def test_a_damaged_row_is_computed_again(whole, tmp_path):
-    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
-    unpack(study)
-    base = sqlite3.connect(study.folder / STORE)
+def test_a_damaged_row_is_computed_again(whole, copied):
+    attacks.unpack(copied)
+    base = sqlite3.connect(copied.folder / STORE)
     with base:
         base.execute("UPDATE cases SET body = replace(body, '1', '2') WHERE key LIKE '0:%'")
     base.close()
-    assert study.status().done == 12
-    assert study.run(processes=1).damaged == 6
-    pd.testing.assert_frame_equal(stable(study.folder), stable(whole[0].folder))
+    assert copied.status().done == 12
+    assert copied.run(processes=1).damaged == 6
+    pd.testing.assert_frame_equal(stable(copied.folder), stable(whole[0].folder))
 
 
-def test_spoiled_bytes_are_refused_or_passed_over(whole, tmp_path):
-    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
-    wrong, refused = attacks.damaged(study, 40)
+def test_spoiled_bytes_are_refused_or_passed_over(copied):
+    wrong, refused = attacks.damaged(copied, 40)
     assert wrong == 0
     assert 10 < refused < 40
 
 
 @pytest.mark.parametrize("name", [STORE, CASES, "manifest.json"])
-def test_a_pipe_or_a_link_in_a_file_s_place_is_not_waited_for(whole, tmp_path, name):
-    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
-    (study.folder / name).unlink(missing_ok=True)
-    os.mkfifo(study.folder / name)
+def test_a_pipe_or_a_link_in_a_file_s_place_is_not_waited_for(copied, name):
+    (copied.folder / name).unlink(missing_ok=True)
+    os.mkfifo(copied.folder / name)
     if name == "manifest.json":
-        assert study.status().done == 18
+        assert copied.status().done == 18
         return
     with pytest.raises(InputError, match="no regular file"):
-        study.run(processes=1)
+        copied.run(processes=1)
 
 
-def test_a_full_disk_and_a_lost_folder_are_told_in_a_line(whole, tmp_path):
+def test_a_full_disk_and_a_lost_folder_are_told_in_a_line(copied):
     import resource
 
-    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+    study = copied
     row = next(Store.read(study.folder, study.planned).rows())
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -332,18 +280,18 @@ def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tm
     parts = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        part = changed(whole, tmp_path / name, LASSO + SQUARES + SWEEP)
-        unpack(part)
+        part = changed(whole, tmp_path / name, WHOLE)
+        attacks.unpack(part)
         with Store.opened(part.folder, part.planned) as store:
             drop = "0:%" if name == "a" else "2:%"
             store.base.execute("DELETE FROM cases WHERE key LIKE ?", (drop,))
         parts.append(part)
-    target = load(tmp_path, LASSO + SQUARES + SWEEP)
+    target = load(tmp_path, WHOLE)
     merged = target.merge([part.folder for part in parts])
     assert [part.taken for part in merged] == [12, 6]
     pd.testing.assert_frame_equal(stable(target.folder), stable(full.folder))
     (full_copy := tmp_path / "c").mkdir()
-    bare = changed(whole, full_copy, LASSO + SQUARES + SWEEP)
+    bare = changed(whole, full_copy, WHOLE)
     (bare.folder / "manifest.json").unlink()
     with pytest.raises(InputError, match="no checksum of it stands"):
         target.merge([bare.folder])
@@ -381,8 +329,8 @@ def test_words_change_no_version():
     assert manifest.without_words(source.replace("*", "+")) != manifest.without_words(source)
 
 
-def test_latency_and_variants_of_candidates(whole, tmp_path):
-    study = changed(whole, tmp_path, LASSO + SQUARES + SWEEP)
+def test_latency_and_variants_of_candidates(copied):
+    study = copied
     candidate = study.plan()["candidate"].iloc[-1]
     (latency,) = study.latency([candidate], 10).values()
     assert 0.0 < latency.median <= latency.p99 < 10.0

@@ -4,7 +4,6 @@ import math
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -12,6 +11,7 @@ import pytest
 from sparsefit.errors import InputError
 from sparsefit.study.worker import in_child
 from tests.study import hostile
+from tests.study.attacks import until
 
 ROOT = Path(__file__).parents[2]
 
@@ -67,14 +67,8 @@ def test_what_leaves_its_session_ends_with_the_run(monkeypatch, end, seconds):
         f"in_child(hostile.do, 'leave', seconds={8.0 if end == 'limit' else 60.0})"
     )
     run = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
-    until = time.monotonic() + 60.0
-    while not alive(seconds) and time.monotonic() < until:
-        time.sleep(0.02)
-    assert alive(seconds)
+    until(lambda: alive(seconds), 60.0)
     if end == "kill":
         run.kill()
     run.wait(60.0)
-    until = time.monotonic() + 10.0
-    while alive(seconds) and time.monotonic() < until:
-        time.sleep(0.02)
-    assert not alive(seconds)
+    until(lambda: not alive(seconds), 10.0)
