@@ -3,6 +3,7 @@
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pandas as pd
 
 from sparsefit.study.keys import Outputs, SelectionRule
@@ -33,6 +34,15 @@ def frame(*rows):
     if "case_id" not in cases:
         cases["case_id"] = [f"{place:04d}-abc" for place in range(len(cases))]
     return cases
+
+
+def spread(titles=("lasso", "stlsq"), flights=12, **more):
+    """Flights with other errors for each title."""
+    rng = np.random.default_rng(1)
+    return frame(*(
+        case(flight, (rng.normal(0, 1 + place), rng.normal(0, 1)), label=title, **more)
+        for place, title in enumerate(titles) for flight in range(flights)
+    ))  # fmt: skip
 
 
 def solve(problem, solver, seconds, excess=1e-12, status="ok", **more):

@@ -84,6 +84,8 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
     assert (study.run.case_timeout, study.run.tolerance) == (30.0, 1e-6)
     assert study.flights.count * len(study.flights.cells) == 6 * 2 * 2 * 3
     assert list(dict.fromkeys(c.choice.label for c in study.flights.cells)) == ["lasso", "literal"]
+    bare = load(tmp_path, GOOD.replace('"derivative.method"', "derivative.method"))
+    assert bare.flights.protocols == study.flights.protocols
     parts = [study.flights.split(flight) for flight in range(6)]  # which are interleaved
     assert (parts.count("validate"), parts.count("evaluate")) == (2, 4)
     assert "evaluate" in parts[:3]
@@ -108,7 +110,6 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         # at the top
         ("seed = 20201120", "sede = 1", 'key "sede" unknown: did you mean "seed"?'),
         ("seed = 20201120", "seed = -1", '"seed" must be at least 0'),
-        ("seed = 20201120", "seed = 1.5", '"seed" must be a whole number'),
         ("seed = 20201120", "seed = true", '"seed" must be a whole number'),
         ("seed = 20201120", f"seed = {'9' * 5000}", "more than 300 digits"),
         ("seed = 20201120", f"seed = 0x{'f' * 5000}", "more than 300 digits"),
@@ -125,8 +126,8 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("response_time = 0.5", "response_time = 0.5\nlost_samples = 2", "and at most 1, not 2"),
         ("duration = 2.0", 'duration = "2"', '"duration" must be a number'),
         ("duration = 2.0", "duration = -2.0", '"duration" must be above 0'),
-        ("duration = 2.0", "duration = inf", '"duration" must be a finite number'),
         ("duration = 2.0", "duration = [1, 2]", '"duration" must be a number'),
+        ("duration = 2.0", "duration = inf", '"duration" must be a finite number'),
         ("duration = 2.0", "", '"duration" missing: every flight needs it'),
         ("sample_rate = 100.0", "sample_rate = 1e9", "samples: keep it below 5000000"),
         ("{ uniform = [2.0, 10.0] }", "{ uniform = [10.0, 2.0] }", "range [10, 2] is empty"),
@@ -181,7 +182,6 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("validate = 2\n", "", '[split] key "validate" missing'),
         ("validate = 2", "validate = 0", "must be above 0"),
         ("case_timeout = 30.0", "case_timeout = 0", "case_timeout\" must be above 0 [s], not 0"),
-        ("case_timeout = 30.0", "case_timout = 1", 'did you mean "case_timeout"?'),
         ("tolerance = 1e-6", "tolerance = 1.0", "must be above 0 and below 1, not 1"),
         ("[run]", "[run]\nmax_memory = 1", "at least 256 [MB]"),
         ("[run]", "[outputs]\ntables = [3]\n[run]", "[outputs]"),
@@ -220,12 +220,6 @@ def test_hash_is_of_the_content(tmp_path: Path) -> None:
     assert load(tmp_path, GOOD).hash == load(tmp_path, same).hash == load(tmp_path, shown).hash
     assert load(tmp_path, GOOD).hash != load(tmp_path, changed("20201120", "20201121")).hash
     assert load(tmp_path, GOOD).hash != load(tmp_path, changed("2.0, 10.0", "2.0, 9.0")).hash
-
-
-def test_dotted_keys_may_be_bare(tmp_path: Path) -> None:
-    bare = GOOD.replace('"derivative.method"', "derivative.method")
-    one, other = load(tmp_path, GOOD), load(tmp_path, bare)
-    assert one.flights.protocols == other.flights.protocols
 
 
 def test_settings_that_only_fit_together(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study.measures import MEASURES, measure
-from tests.study.frames import case, frame
+from tests.study.frames import TRUE, case, frame
 
 DEGREE = math.pi / 180
 
@@ -65,8 +65,7 @@ def test_coverage_and_half_widths_are_of_flights_called_ok():
 def test_efficiency_is_the_rms_of_error_over_bound():
     # U0: 2 and 4 % at bounds of 1 and 4 %: sqrt((2^2 + 1^2) / 2).
     def bounded(flight, percent, bound, **more):
-        true = {"mean_velocity": 10.0, "length_scale": 5.0, "timescale": 0.5}
-        bounds = {f"bound_{name}": bound * value / 100 for name, value in true.items()}
+        bounds = {f"bound_{name}": bound * value / 100 for name, value in TRUE.items()}
         return case(flight, percent, **bounds, **more)
 
     rows = [bounded(0, (2.0, 0.0), 1.0), bounded(1, (4.0, -8.0), 4.0)]

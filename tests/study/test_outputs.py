@@ -13,17 +13,7 @@ from sparsefit.plot.style import COLOURS, encoded, labels
 from sparsefit.study import figures, measures, page, panels, solver_times, tables
 from sparsefit.study.keys import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
-from tests.study.frames import case, frame, solve, study
-
-RNG = np.random.default_rng(2)
-
-
-def spread(titles=("lasso", "stlsq"), flights=12, **more):
-    """Flights with other errors for each title."""
-    return frame(*(
-        case(flight, (RNG.normal(0, 1 + place), RNG.normal(0, 1)), label=title, **more)
-        for place, title in enumerate(titles) for flight in range(flights)
-    ))  # fmt: skip
+from tests.study.frames import case, frame, solve, spread, study
 
 
 def made(entry, cases, **outputs):

@@ -4,29 +4,20 @@ import json
 import math
 import re
 
-import numpy as np
 import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study import page, tables
 from sparsefit.study.compare import compare
-from tests.study.frames import case, frame, solve, study
+from tests.study.frames import case, frame, solve, spread, study
 
 HOSTILE = "</script><script>alert(1)</script>\"'&"
-
-
-def run(flights=10, **more):
-    rng = np.random.default_rng(1)
-    return frame(*(
-        case(flight, (rng.normal(), rng.normal()), label=label, **more)
-        for label in ("lasso", "stlsq") for flight in range(flights)
-    ))  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """The files of a page of two tables and two pictures, a back-end with a hostile name in it."""
-    cases = run()
+    cases = spread(flights=10)
     cases.loc[cases["label"] == "stlsq", ["title", "candidate"]] = HOSTILE
     made = study(cases, tmp=tmp_path_factory.mktemp("page"), tables=("errors", "status"),
                  figures=("errors", "scatter"))  # fmt: skip
@@ -86,7 +77,7 @@ class TestPage:
         assert text.index("What is predicted and recovered") < text.index("![shapes]")
 
     def test_a_headline_without_any_word_of_the_study(self):
-        cases = run()
+        cases = spread(flights=10)
         said = page.headline(study(cases), cases)
         assert re.match(r"Median \|error\| of τ_w, over 10 flights: [\d.]+ % \(\w+\) to", said)
         failed = frame(case(0, None, status="error"))
@@ -97,19 +88,19 @@ class TestPage:
     ])  # fmt: skip
     def test_unknown_outputs_are_refused_before_anything_is_run(self, outputs):
         with pytest.raises(InputError):
-            page.check_outputs(study(run(), **outputs))
+            page.check_outputs(study(spread(flights=10), **outputs))
 
 
 class TestComparison:
     def test_the_same_run_did_not_change(self):
-        made = compare(run(), run(), ("a", "b"))
+        made = compare(spread(flights=10), spread(flights=10), ("a", "b"))
         assert not made.differs
         assert not made.worse
         assert made.sentence.startswith("0 of 20 cases changed, 0 of them in status")
         assert [row[2] for row in made.tables["effects"].rows] == ["tie", "tie"]
 
     def test_what_changed_and_whether_for_the_worse(self):
-        first, second = run(), run()
+        first, second = spread(flights=10), spread(flights=10)
         lasso = second["label"] == "lasso"
         second.loc[lasso, "est_timescale"] *= 1.2
         second.loc[second.index[-1], "status"] = "misfit"
@@ -124,15 +115,15 @@ class TestComparison:
         assert made.record()["changed"] == 11
 
     def test_a_number_that_is_lost_is_an_infinite_change(self):
-        second = run()
+        second = spread(flights=10)
         names = ["est_mean_velocity", "est_length_scale", "est_timescale"]
         second.loc[second.index[0], names] = math.nan
-        made = compare(run(), second, ("a", "b"))
+        made = compare(spread(flights=10), second, ("a", "b"))
         assert math.isinf(made.cases["change"][0])
         assert made.worse
 
     def test_cases_of_one_run_alone_are_counted(self):
-        made = compare(run(), run().iloc[:-3], ("a", "b"))
+        made = compare(spread(flights=10), spread(flights=10).iloc[:-3], ("a", "b"))
         assert made.only == (3, 0)
         assert made.differs
 
@@ -150,8 +141,8 @@ class TestComparison:
             compare(timed(1.0).assign(points=10), timed(1.0).assign(points=5), ("a", "b"))
 
     def test_runs_that_have_nothing_in_common_are_refused(self):
-        other = run().assign(case_id=[f"x{n}" for n in range(20)])
+        other = spread(flights=10).assign(case_id=[f"x{n}" for n in range(20)])
         with pytest.raises(InputError, match="no case in common"):
-            compare(run(), other, ("a", "b"))
+            compare(spread(flights=10), other, ("a", "b"))
         with pytest.raises(InputError, match="one holds flights"):
-            compare(run(), frame(solve("p0", "a", 1.0)), ("a", "b"))
+            compare(spread(flights=10), frame(solve("p0", "a", 1.0)), ("a", "b"))

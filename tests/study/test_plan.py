@@ -78,28 +78,18 @@ def test_the_plan_holds_every_combination_once(tmp_path: Path) -> None:
     assert counts["levels"]["library.target"] == 2
 
 
-WORLDS = """
-[[protocols]]
-name = "one flow, on the grid"
-"readout.refine" = "none"
-[[protocols]]
-name = "one flow, refined"
-"readout.refine" = "variable-projection"
-[[protocols]]
-name = "noise, on the grid"
-"readout.refine" = "none"
-"flights.velocity_noise" = 0.2
-[[protocols]]
-name = "noise, refined"
-"readout.refine" = "variable-projection"
-"flights.velocity_noise" = 0.2
-"""
+READINGS = {"on the grid": "none", "refined": "variable-projection"}
+WORLDS = "".join(
+    f'[[protocols]]\nname = "{world}, {reading}"\n"readout.refine" = "{refine}"\n{noise}'
+    for world, noise in (("one flow", ""), ("noise", '"flights.velocity_noise" = 0.2\n'))
+    for reading, refine in READINGS.items()
+)
 
 
 def test_protocols_are_worlds_and_readings_by_what_they_set(tmp_path: Path) -> None:
     plan = load(tmp_path, HEAD + LASSO + WORLDS).plan()
     assert plan["world"].unique().tolist() == ["one flow", "noise"]
-    assert plan["reading"].unique().tolist() == ["on the grid", "refined"]
+    assert plan["reading"].unique().tolist() == list(READINGS)
     assert plan["condition"].unique().tolist() == ["one flow", "noise"]
     assert plan["candidate"].nunique() == 4
 

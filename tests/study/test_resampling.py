@@ -6,42 +6,28 @@ import pytest
 from scipy import stats
 
 from sparsefit.study import resampling
-from sparsefit.study.resampling import (
-    QUANTILES,
-    SUMMARIES,
-    TINY,
-    best_probabilities,
-    by_unit,
-    ends,
-    interval,
-    mean,
-    pooled,
-    quantile,
-    ratio,
-    resampled,
-    wilson,
-)
+from sparsefit.study.resampling import interval, mean, quantile, ratio, resampled, wilson
 
 RNG = np.random.default_rng(3)
 VALUES = RNG.exponential(2.0, (4, 9))
 PLAIN = {
     "mean": np.mean,
-    "geometric mean": lambda row: stats.gmean(np.maximum(row, TINY)),
+    "geometric mean": lambda row: stats.gmean(np.maximum(row, resampling.TINY)),
     "rms": lambda row: math.sqrt(np.mean(row**2)),
     "share": lambda row: 100.0 * np.mean(row),
     "largest": np.max,
     "number": np.sum,
 }
-MEAN = pooled(mean)
+MEAN = resampling.pooled(mean)
 
 
-@pytest.mark.parametrize("name", SUMMARIES)
+@pytest.mark.parametrize("name", resampling.SUMMARIES)
 def test_summaries_by_their_definitions(name):
     values = np.floor(VALUES)
-    assert SUMMARIES[name](values) == pytest.approx([PLAIN[name](row) for row in values])
+    assert resampling.SUMMARIES[name](values) == pytest.approx([PLAIN[name](row) for row in values])
 
 
-@pytest.mark.parametrize("share", QUANTILES.values())
+@pytest.mark.parametrize("share", resampling.QUANTILES.values())
 def test_quantiles_are_those_of_numpy(share):
     holes = VALUES.copy()
     holes[0, 3] = holes[2, :4] = np.nan
@@ -61,7 +47,7 @@ def test_of_nothing_nothing_is_known():
 
 def test_the_interval_is_that_of_scipy_and_draws_units_not_cases():
     units = RNG.normal(1.0, 2.0, 60)
-    ours = ends(resampled(lambda at: units[at].mean(axis=1), 60, resamples=4000))
+    ours = resampling.ends(resampled(lambda at: units[at].mean(axis=1), 60, resamples=4000))
     theirs = stats.bootstrap((units,), np.mean, n_resamples=4000, method="percentile")
     assert ours == pytest.approx(tuple(theirs.confidence_interval), abs=0.06)
     once = interval(MEAN, units[:, None])
@@ -75,7 +61,7 @@ def test_units_drawn_in_parts_are_the_same_units(monkeypatch):
 
 
 def test_values_by_unit():
-    grid = by_unit(np.array([1.0, 2.0, 3.0]), pd.Series([4, 7, 4]))
+    grid = resampling.by_unit(np.array([1.0, 2.0, 3.0]), pd.Series([4, 7, 4]))
     np.testing.assert_allclose(grid, [[1.0, 3.0], [2.0, np.nan]])
 
 
@@ -88,7 +74,7 @@ def test_wilson_by_hand():
 def test_probability_to_be_the_best_by_hand():
     losses = np.array([[1.0, 2.0, 3.0, 1.0], [2.0, 1.0, 3.0, 2.0], [9.0, 9.0, 3.0, 9.0]])
     expected = [(2 + 1 / 3) / 4, (1 + 1 / 3) / 4, 1 / 12]
-    assert best_probabilities(losses) == pytest.approx(expected)
+    assert resampling.best_probabilities(losses) == pytest.approx(expected)
 
 
 def test_ratios_by_hand():

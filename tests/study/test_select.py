@@ -103,15 +103,6 @@ def test_a_noisy_difference_is_a_tie():
     assert other.low < other.effect < other.high
 
 
-def test_a_failure_counts_as_a_hundred_percent():
-    made = cases({"lasso": (2.0, 2.0), "stlsq": (10.0, 2.0)}, failed={("lasso", 1)})
-    selection = chosen(made)
-    assert selection.chosen.title == "stlsq"
-    assert by_name(selection)["lasso"].validate == pytest.approx((5 * 2.0 + 100.0) / 6)
-    median = chosen(made, criterion="median timescale-error").chosen
-    assert (median.title, median.validate) == ("lasso", pytest.approx(2.0))
-
-
 @pytest.mark.parametrize("words", ["mean timescale-error", "95th percentile timescale-error",
                                    "rms timescale-size", "share silent-misses",
                                    "geometric mean timescale-error"])  # fmt: skip
