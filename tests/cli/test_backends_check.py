@@ -33,15 +33,9 @@ class Good:
     deed: str = ""
 
     def solve(self, problem):
-        if self.deed == "print":
-            print("not JSON")
         if self.deed == "random":
             shape = (problem.columns, problem.targets)
             return Solution(100.0 * np.random.default_rng().standard_normal(shape))
-        if self.deed == "write":
-            problem.theta.base[0] += 1
-        if self.deed == "shape":
-            return Solution(np.zeros(3))
         if self.deed == "hang":
             import time
             time.sleep(600)
@@ -53,7 +47,7 @@ class Good:
         return Solution(answer(problem))
 
     def next_weights(self, problem, weights):
-        return weights if self.deed == "yes" else answer(problem)
+        return answer(problem)
 """
 
 
@@ -93,12 +87,9 @@ TWICE = "it answers the same problem differently the second time: solve must be 
     ("deed", "fault"),
     [
         ("", []),
-        ("print", ["it prints: 'not JSON not JSON'"]),
         ("random", [TWICE, POOR]),
         ("zeros", [WRONG]),
         ("worse", [WRONG, POOR]),
-        ("write", ["raises InputError: back-end 'good' writes into problem.theta, which it is "]),
-        ("shape", ["raises InputError: back-end 'good' returned weights of shape (3,), not (12"]),
         ("raise", ["raises ZeroDivisionError: why"]),
     ],
 )
@@ -126,16 +117,13 @@ def test_what_ends_or_hangs_a_check_is_told_by_name(capfd, argv, words):
     assert words in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(("name", "words"), [("dies", "died of SIGABRT"), ("good", "")])
-def test_a_study_of_problems_loads_a_plug_in_elsewhere(tmp_path, name, words: str):
-    (tmp_path / "s.toml").write_text(
-        'name = "s"\nkind = "problems"\nquestion = "?"\n[[problems]]\ngenerator = "wide"\n'
-        f'[[backends]]\nname = "{name}"\n'
-    )
-    if words:
-        with pytest.raises(InputError, match=words):
-            Study.from_file(tmp_path / "s.toml")
-    else:
-        assert Study.from_file(tmp_path / "s.toml").plan()["solver"].tolist() == [name]
+def test_a_study_of_problems_loads_a_plug_in_elsewhere(tmp_path):
+    path = tmp_path / "s.toml"
+    text = 'name = "s"\nkind = "problems"\nquestion = "?"\n[[problems]]\ngenerator = "wide"\n'
+    path.write_text(f'{text}[[backends]]\nname = "good"\n')
+    assert Study.from_file(path).plan()["solver"].tolist() == ["good"]
+    path.write_text(f'{text}[[backends]]\nname = "dies"\n')
+    with pytest.raises(InputError, match="died of SIGABRT"):
+        Study.from_file(path)
     assert "dies" not in sys.modules
     assert "leaves" not in sys.modules

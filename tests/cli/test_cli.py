@@ -6,6 +6,8 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -35,18 +37,6 @@ def flight():
     return "flight.csv"
 
 
-def edited(name, change):
-    lines = read_lines("flight.csv")
-    with open(name, "w") as file:
-        file.writelines(change(lines))
-    return name
-
-
-def read_lines(name):
-    with open(name) as file:
-        return file.readlines()
-
-
 # --- simulate
 
 
@@ -54,47 +44,35 @@ def read_lines(name):
 def test_simulate_writes_the_flight_it_was_asked_for(capsys, name):
     options = ("--response-time", "0.25", "--thrust-acceleration", "-1e-3", "3")
     options += ("--initial-position", "1", "2")
-    code, out, _ = run(capsys, *SIMULATE, *options, "--duration", "2", "-o", name)
+    code, out, _ = run(capsys, *SIMULATE, *options, "--duration", "1", "-o", name)
     assert code == 0
-    assert out.startswith(f"{name}: 201 samples over 2 s")
+    assert out.startswith(f"{name}: 101 samples over 1 s")
     again = ("--duration", "2", "-o", name, "--force", "--json")
     found = json.loads(run(capsys, *SIMULATE, *options, *again)[1])
     assert (found["output"], found["samples"], found["response_time"]) == (name, 201, 0.25)
     flight = read_flight(name)
+    assert flight.samples == 201
     assert flight.flow.mean_velocity == 15.43
     assert flight.vehicle.response_time == 0.25
     assert flight.vehicle.thrust_acceleration == (-1e-3, 3.0)
     assert flight.position[0].tolist() == [1.0, 2.0]
 
 
-def test_a_link_is_not_overwritten_wherever_it_leads(capsys, flight):
+def test_a_file_or_a_link_is_not_overwritten_wherever_it_leads(capsys, flight):
     os.symlink("nowhere.csv", "dangling.csv")
     os.symlink("loop.csv", "loop.csv")
-    for name in ("dangling.csv", "loop.csv"):
-        assert f"{name} exists" in refused(capsys, *SIMULATE, "-o", name)
-        assert os.path.islink(name)
+    before = Path(flight).read_bytes()
+    for name in (flight, "dangling.csv", "loop.csv"):
+        assert f"{name} exists; add --force" in refused(capsys, *SIMULATE, "-o", name)
+        assert os.path.islink(name) == (name != flight)
+    assert Path(flight).read_bytes() == before
     os.mkfifo("pipe.csv")
     assert "is no regular file" in refused(capsys, *SIMULATE, "--force", "-o", "pipe.csv")
 
 
-def test_simulate_overwrites_only_with_force(capsys, flight):
-    before = read_lines(flight)
-    err = refused(capsys, *SIMULATE, "--duration", "3", "-o", flight)
-    assert "exists; add --force" in err
-    assert read_lines(flight) == before
-    assert run(capsys, *SIMULATE, "--duration", "3", "--force", "-o", flight)[0] == 0
-    assert read_lines(flight) != before
-
-
 def test_simulate_flies_through_what_it_is_told(capsys, monkeypatch):
-    flown = []
-    keep = draw.simulate_flight
-
-    def kept(flow, *rest, **options):
-        flown.append(flow)
-        return keep(flow, *rest, **options)
-
-    monkeypatch.setattr(draw, "simulate_flight", kept)
+    flying = Mock(wraps=draw.simulate_flight)
+    monkeypatch.setattr(draw, "simulate_flight", flying)
     options = ("--heading", "0.3", "--aspect", "1.2", "--angle", "1.4", "--offset", "1", "2")
     moving = ("--drift-ratio", "0.1", "--drift-direction", "0", "--wind", "0", "2")
     moving += ("--swell", "0.2", "--swell-period", "9")
@@ -105,7 +83,7 @@ def test_simulate_flies_through_what_it_is_told(capsys, monkeypatch):
         15.43, (4.21, 1.2 * 4.21), 0.3, 1.4, (1.0, 2.0), (0.1 * 15.43, 0.0), 0.2, 9.0
     )  # fmt: skip
     gusty = Turbulence(0.1 * 15.43, 8.0, 3.0, "von-karman", 7)
-    assert flown == [SuperposedFlow((cells, gusty), (0.0, 2.0))]
+    assert flying.call_args.args[0] == SuperposedFlow((cells, gusty), (0.0, 2.0))
     assert read_flight("flight.csv").samples == 51
 
 
@@ -131,7 +109,6 @@ def test_simulate_spoils_the_log(capsys):
     [
         (("--turbulence-ratio", "1"), "--turbulence-length missing: turbulence_ratio needs it"),
         (("--turbulence-spectrum", "dreyden"), "'dreyden': did you mean \"dryden\"?"),
-        (("--timescale", "1"), "needs exactly two of mean_velocity, length_scale, timescale"),
         (("--aspect", "0"), "--aspect must be at least 0.01 and at most 100, not 0"),
         (("--time-jitter", "0.5"), "--time-jitter must be"),
         (("--duration", "5min"), '"5min" is not a number; give it in s, without the unit'),
@@ -175,18 +152,16 @@ def test_completion_knows_every_verb(capsys, shell):
 # --- estimate
 
 
-def test_estimate_prints_standard_errors_and_intervals(capsys, tmp_path):
-    path = tmp_path / "noisy.csv"
-    of_flow = ("--mean-velocity", "15.43", "--length-scale", "4.21")
-    noise = ("--velocity-noise", "0.1", "--position-noise", "0.02")
-    assert run(capsys, "simulate", *of_flow, *noise, "--seed", "7", "-o", path)[0] == 0
+def test_estimate_prints_standard_errors_and_intervals(capsys):
+    path, noise = "noisy.csv", ("--velocity-noise", "0.1", "--position-noise", "0.02")
+    assert run(capsys, *SIMULATE, *noise, "-o", path)[0] == 0
     code, out, _ = run(capsys, "estimate", path)
     assert code == 0
     line = next(line for line in out.splitlines() if line.startswith("length scale"))
     value, spread, low, high = (float(n) for n in re.findall(r"\d+\.\d+", line))
     assert low < 4.21 < high
     assert high - value == pytest.approx(1.96 * spread, rel=0.02)
-    code, out, _ = run(capsys, "estimate", path, "--json")
+    out = run(capsys, "estimate", path, "--json")[1]
     assert json.loads(out)["uncertainty"]["length_scale"] == pytest.approx(spread, rel=0.1)
     assert "±" not in run(capsys, "estimate", path, *PAPER)[1]
 
@@ -218,37 +193,28 @@ def test_estimate_that_is_not_ok_exits_1_and_is_printed_all_the_same(capsys, fli
     assert "length scale   L_w            – m" in out
 
 
-def test_settings_are_read_as_toml_scalars(capsys, flight):
+def test_settings_as_toml_scalars_and_options_reach_the_estimator(capsys, flight):
     words = ("alpha_fraction=0.2", "separate=true", 'group_weights="sqrt-size"', "solver=clarabel")
-    pairs = [item for word in words for item in ("--setting", word)]
-    code, out, _ = run(capsys, "estimate", flight, *COARSE, *pairs, "--json")
-    assert code == 0
-    settings = json.loads(out)["settings"]
-    assert {key: settings[key] for key in settings if key != "selection"} == {
-        "alpha_fraction": 0.2,
-        "separate": True,
-        "group_weights": "sqrt-size",
-        "solver": "clarabel",
-    }
-
-
-def test_options_of_the_estimator_reach_it(capsys, flight):
-    options = ("--grid-lower", "3", "--grid-upper", "5", "--grid-step", "0.5")
     pairs = ("derivative.method=savgol", "derivative.window=7", "derivative.order=3")
     pairs += ("library.target=acceleration", "readout.length_scale=absolute-sum")
-    options += tuple(item for pair in pairs for item in ("--set", pair))
-    _, out, _ = run(
-        capsys, "estimate", flight, *options, "--set", "readout.mean_velocity=paper", "--json"
-    )
+    pairs += ("readout.mean_velocity=paper",)
+    options = [item for word in words for item in ("--setting", word)]
+    options += [item for pair in pairs for item in ("--set", pair)]
+    grid = ("--grid-lower", "3", "--grid-upper", "5", "--grid-step", "0.5")
+    code, out, _ = run(capsys, "estimate", flight, *grid, *options, "--json")
     found = json.loads(out)
+    assert code == 0
     assert [scale for scale, _ in found["weights_by_scale"]] == [3.0, 3.5, 4.0, 4.5, 5.0]
     assert found["samples"] == 501 - 6
+    settings = {"alpha_fraction": 0.2, "separate": True, "group_weights": "sqrt-size"}
+    assert found["settings"].items() >= {**settings, "solver": "clarabel"}.items()
 
 
 def test_vehicle_of_the_command_line_replaces_only_what_it_names(capsys, flight):
     _, out, _ = run(capsys, "estimate", flight, *COARSE, *PAPER, "--thrust-ax", "1")
     assert "response time 0.5 s, thrust (1, 3) m/s^2" in out
-    bare = edited("bare.csv", lambda lines: [line for line in lines if line[0] != "#"])
+    text, bare = Path(flight).read_text(), "bare.csv"
+    Path(bare).write_text(re.sub("^#.*\n", "", text, flags=re.MULTILINE))
     assert "give --response-time" in refused(capsys, "estimate", bare)
     assert "give --response-time too" in refused(capsys, "estimate", bare, "--thrust-ax", "1")
     _, out, _ = run(capsys, "estimate", bare, *COARSE, *PAPER, "--response-time", "0.5")
@@ -257,8 +223,7 @@ def test_vehicle_of_the_command_line_replaces_only_what_it_names(capsys, flight)
 
 def test_estimator_file_is_used(capsys, flight):
     estimator = Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0)), backend="lasso")
-    with open("estimator.json", "w") as file:
-        file.write(estimator.to_json())
+    Path("estimator.json").write_text(estimator.to_json())
     _, out, _ = run(capsys, "estimate", flight, "--estimator", "estimator.json", "--json")
     assert json.loads(out)["backend"] == "lasso"
     assert json.loads(out)["columns"] == 24
@@ -284,7 +249,6 @@ def test_estimator_file_is_used(capsys, flight):
         (("--set", "library.target=flow"), "--set library.target has unknown value 'flow' (known"),
         (("--set", "library.famly=1"), '--set library.famly unknown: did you mean "family"?'),
         (("--set", "libary.step=1"), '--set libary unknown: did you mean "library"?'),
-        (("--set", "library.lower=-1"), "lower must be"),
         (("--response-time", "-1"), "response_time must be"),
         (("--set", "readout.scales=two"), "readout.scales has unknown value 'two'"),
         (("--unknown", "wind", "thrust_acceleration"), "cannot both be unknown"),
@@ -299,27 +263,21 @@ def test_estimate_refuses_an_option(capsys, flight, options, words):
 
 
 @pytest.mark.parametrize(
-    ("error", "end"),
+    ("error", "code", "words"),
     [
-        (
-            MemoryError,
-            (2, "sparsefit: error: not enough memory; use fewer length scales or samples"),
-        ),
-        (KeyboardInterrupt, (130, "\nstopped")),
-        (ZeroDivisionError, None),  # a bug of ours is not dressed up as bad input
+        (MemoryError, 2, "sparsefit: error: not enough memory; use fewer length scales or samples"),
+        (KeyboardInterrupt, 130, "stopped"),
     ],
 )
-def test_what_an_estimate_raises_ends_in_a_line(capsys, flight, monkeypatch, error, end):
-    def broken(*_):
-        raise error
-
-    monkeypatch.setattr(Estimator, "estimate", broken)
-    if end is None:
-        with pytest.raises(error):
-            main(["estimate", flight])
-    else:
-        code, out, err = run(capsys, "estimate", flight)
-        assert (code, out, err.startswith(end[1]), err.strip().count("\n")) == (end[0], "", True, 0)
+def test_what_an_estimate_raises_ends_in_a_line(capsys, flight, monkeypatch, error, code, words):
+    monkeypatch.setattr(Estimator, "estimate", Mock(side_effect=error))
+    ended, out, err = run(capsys, "estimate", flight)
+    assert (ended, out) == (code, "")
+    assert err.strip().startswith(words)
+    assert err.strip().count("\n") == 0
+    monkeypatch.setattr(Estimator, "estimate", Mock(side_effect=ZeroDivisionError))
+    with pytest.raises(ZeroDivisionError):  # a bug of ours is not dressed up as bad input
+        main(["estimate", flight])
 
 
 # --- backends
@@ -378,13 +336,6 @@ def test_version(capsys):
     assert run(capsys, "--version")[:2] == (0, f"sparsefit {__version__}\n")
 
 
-PROGRAM = "import sys; from sparsefit.cli import main; sys.exit(main())"
-
-
-def command(*argv):
-    return [sys.executable, "-c", PROGRAM, *argv]
-
-
 def test_help_needs_no_numpy():
     script = (
         "import sys; from sparsefit.cli import parser; parser().format_help(); "
@@ -393,20 +344,11 @@ def test_help_needs_no_numpy():
     assert subprocess.run([sys.executable, "-c", script]).returncode == 0
 
 
-def test_refusals_of_the_program_itself(flight):
-    done = subprocess.run(command("estimate", "no.csv"), capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.count("\n") == 1
-    assert "Traceback" not in done.stderr
-
-
 def test_a_reader_that_leaves_early_is_no_error(flight):
-    with subprocess.Popen(
-        command("estimate", flight, "--json"),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    program = "import sys; from sparsefit.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", program, "estimate", flight, "--json"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as process:
         process.stdout.close()
         assert process.stderr.read() == ""
         assert process.wait() == 141
@@ -415,7 +357,7 @@ def test_a_reader_that_leaves_early_is_no_error(flight):
 def test_streams_that_are_closed_are_no_traceback(flight, monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
-    assert main(["estimate", str(flight)]) == 0
+    assert main(["estimate", flight]) == 0
     assert main(["estimate", "absent.csv"]) == 2
 
 
@@ -428,7 +370,5 @@ def test_repairs_are_told_and_can_be_left_out(capsys, flight):
     assert re.search(r"^repaired +2 outliers replaced$", out, re.MULTILINE)
     _, out, _ = run(capsys, "estimate", "dirty.csv", "--json", *COARSE)
     assert json.loads(out)["repairs"]["outliers"] == 2
-    assert (
-        "repaired"
-        not in run(capsys, "estimate", "dirty.csv", "--set", "derivative.repair=false", *COARSE)[1]
-    )
+    kept = ("--set", "derivative.repair=false")
+    assert "repaired" not in run(capsys, "estimate", "dirty.csv", *kept, *COARSE)[1]

@@ -72,20 +72,12 @@ def test_json_has_what_was_estimated_and_null_for_the_rest(capsys):
         assert low - 1e-5 < wind < high + 1e-5
 
 
-def test_an_estimator_file_may_leave_it_unknown(capsys, tmp_path):
-    library = sf.Library(sf.model.LengthScaleGrid(3.0, 6.0, 0.5), unknown=("response_time",))
-    (tmp_path / "estimator.json").write_text(sf.Estimator(library=library).to_json())
-    out = printed(capsys, "flight.csv", "--estimator", str(tmp_path / "estimator.json"))
-    assert "vehicle               thrust (5, 3) m/s^2\n" in out
-    assert "response time  tau" in out
-    assert "0.5000" in out
-    assert "thrust         a" not in out
-
-
 def test_noise_is_told_with_the_response_time(capsys):
     lines = columns(printed(capsys, "noisy.csv", *GRID, "--unknown", "response_time", "wind"))
     _, unit, sign, spread, _, _, low, _, high = lines["response time  tau"]
     assert (unit, sign) == ("s", "±")
+    assert lines["vehicle"] == ["thrust", "(5,", "3)", "m/s^2"]
+    assert "thrust         a" not in lines
     assert float(high.rstrip(")")) - float(low) == pytest.approx(3.92 * float(spread), abs=2e-4)
     assert lines["wind"][2:4] == ["m/s", "±"]
     assert [float(word.strip("(),")) < 0.5 for word in lines["wind"][4:]] == [True, True]

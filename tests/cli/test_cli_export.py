@@ -81,15 +81,9 @@ def test_all_causes_and_remedies_are_told_at_once(tmp_path, capsys):
 
 
 def test_odd_files_and_options_are_refused(saved, tmp_path, capsys):
-    record = json.loads(saved.read_text())
-    path = tmp_path / "odd.json"
-    for change, words in (
-        ({"format": "sparsefit-estimator/2"}, "update sparsefit"),
-        ({"library": {"grid": {"lower": float("nan")}}}, "NaN is no number"),
-        ({"backend": {"name": "../../etc/passwd"}}, "no path"),
-    ):
-        path.write_text(json.dumps(record | change))
-        assert words in refused(capsys, path, "--c", tmp_path / "flow")
+    path, record = tmp_path / "odd.json", json.loads(saved.read_text())
+    path.write_text(json.dumps(record | {"format": "sparsefit-estimator/2"}))
+    assert "update sparsefit" in refused(capsys, path, "--c", tmp_path / "flow")
     assert "name of the folder" in refused(capsys, saved, "--c", "", "--force")
 
 
