@@ -67,7 +67,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     solver_status_ : the solver's own word.
     alpha_fraction_, alpha_ : the penalty used, where there is one, as a fraction and in the unit
         of y: that of `sklearn.linear_model.Lasso` on columns of unit standard deviation.
-    n_iter_ : steps of the solver, or None; n_features_in_, feature_names_in_ : of X.
+    n_iter_ : steps of the solver, or None; ``n_features_in_``, ``feature_names_in_`` : of X.
     """
 
     def __init__(
