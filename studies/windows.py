@@ -14,7 +14,8 @@ def needed(cases):
         row = rows.setdefault(title, {})
         for summary in ("median", "9 of 10"):
             error = measure(f"{summary} largest-error")
-            told = {time: error.summarise(part) for time, part in here.groupby("flights.duration")}
+            parts = here.groupby("flights.duration")
+            told = {time: error.summary_of(error.values(part)) for time, part in parts}
             for limit in LIMITS:
                 kept = [time for time in told if all(told[t] <= limit for t in told if t >= time)]
                 row[summary, f"within {limit:g} % [s]"] = min(kept, default=float("nan"))

@@ -2,18 +2,22 @@
 
 import io
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
+import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.plot.style import COLOURS, encoded, labels
-from sparsefit.study import figures, measures, page, panels, solver_times, tables
+from sparsefit.study import entries, figures, measures, page, panels, solver_times, tables
 from sparsefit.study.keys import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
 from tests.study.frames import case, frame, solve, spread, study
+
+STUDIES = Path(__file__).parents[2] / "studies"
 
 
 def made(entry, cases, **outputs):
@@ -326,3 +330,18 @@ class TestSolvers:
         line = {each.get_label(): each for each in told["profiles"].figure.axes[2].lines}["slow"]
         assert max(line.get_ydata()) == 100.0
         assert line.get_xdata()[1] == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in sorted(STUDIES.glob("*.toml")) if "\nscript = " in path.read_text()],
+    ids=lambda path: path.stem,
+)  # fmt: skip
+def test_the_script_of_a_shipped_study_makes_its_table(path):
+    shipped = sf.Study.from_file(path)
+    named = shipped.definition.outputs.tables + shipped.definition.outputs.figures
+    names = set(entries.functions_of(shipped)) & {own for own in named if isinstance(own, str)}
+    assert names
+    for name in names & set(shipped.definition.outputs.tables):
+        assert shipped.table(name).rows
+    for name in names & set(shipped.definition.outputs.figures):
+        assert shipped.figure(name) is not None
