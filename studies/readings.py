@@ -5,7 +5,7 @@ import pandas as pd
 
 from sparsefit.study.measures import answered, factors, measure, three
 
-PAPER = (-18.80, -5.91, 33.30)  # percent: mean signed errors of U0, L_w, tau_w
+PAPER = [-18.80, -5.91, 33.30]  # percent: mean signed errors of U0, L_w, tau_w
 
 
 def closest(cases):
