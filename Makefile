@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: study evidence test check docs clean
+.PHONY: study evidence test slow check docs clean
 
 study: export PYTHONDONTWRITEBYTECODE :=
 study: $(VENV)/.installed
@@ -25,6 +25,11 @@ test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/.tests
 	$(BIN)/python -m compileall -q sparsefit
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+
+# What takes long, and what needs dask.
+slow: $(VENV)/.slow
+	$(BIN)/python -m pytest -m slow --numprocesses auto
+	$(BIN)/python -m pytest -k dask
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check sparsefit tests docs
@@ -51,6 +56,10 @@ EXTRAS = $(BIN)/python -c 'import sys, tomllib; \
 
 $(VENV)/.tests: $(VENV)/.installed
 	$(EXTRAS) peers logs completion test > $@
+	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
+
+$(VENV)/.slow: $(VENV)/.tests
+	$(EXTRAS) dask > $@
 	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
 
 $(VENV)/.dev: $(VENV)/.tests
