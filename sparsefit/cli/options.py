@@ -107,14 +107,13 @@ class Option:
 
     def _number(self, text: str) -> float:
         """A plain number; `4 m` is refused with the unit to drop."""
+        read, kind = (int, "whole number") if self.read is int else (float, "number")
         try:
-            number: float = self.read(text if "_" not in text else "")  # type: ignore[misc]
+            return read(text if "_" not in text else "")
         except ValueError:
-            kind = "whole number" if self.read is int else "number"
             unit = "" if self.metavar in PLAIN else self.metavar
             remedy = f"; give it in {unit}, without the unit" if unit else ""
             raise argparse.ArgumentTypeError(f'"{text}" is not a {kind}{remedy}') from None
-        return number
 
 
 def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:

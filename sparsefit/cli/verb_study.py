@@ -105,9 +105,9 @@ def _checked(args: argparse.Namespace) -> Study:
     study = read_study(args)
     with told_with(args.study):
         check_outputs(study)
-        with told_with("[select]"):
-            check_rule(study)
-            if study.definition.selection.on_board:
+        check_rule(study)
+        if study.definition.selection.on_board:
+            with told_with("[select]"):
                 _ = study.refusals  # none can fly
     return study
 

@@ -57,7 +57,7 @@ def tables(selection: Selection) -> dict[str, Table]:
         "selection": Table(f"Candidates of the selection ({study})", heads, candidates, (
             f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the "
             "chosen. Intervals (95 %) and the probability to be the best are by bootstrap over the "
-            "same flights for all.",
+            f"same {selection.unit}s for all.",
         )),
         "regimes": Table(f"Regimes ({study})", (
             *map(Column, ("candidate", "verdict")),

@@ -68,9 +68,14 @@ class Selection:
         """The chosen candidate and what is not ruled out: tied, or within the margin."""
         return [each.candidate for each in self.passing if each.within or each in self.tied]
 
+    @property
+    def unit(self) -> str:
+        """The word for a unit."""
+        return "problem" if "objective" in self.cases else "flight"
+
     def counted(self, count: int) -> str:
         """Return a number of units in words, `1 problem`."""
-        return f"{count} {'problem' if 'objective' in self.cases else 'flight'}{'s' * (count != 1)}"
+        return f"{count} {self.unit}{'s' * (count != 1)}"
 
     def __str__(self) -> str:
         return "\n".join([headline(self), *(f"- {line}" for line in lines(self))])
@@ -122,9 +127,10 @@ def select(
     cases = cases[~cases["title"].isin(refused)]
     criterion = _criterion(rule, cases)
     if not np.isfinite(criterion.measure.read(cases)).any():
+        flown = " (for predictions, set [run] prediction_flights)" * (study.kind == "flights")
         raise InputError(
             f"{study.name} has no case with a number for {criterion.measure.words}: choose by "
-            "another criterion (for predictions, set [run] prediction_flights)"
+            f"another criterion{flown}"
         )
     latencies = study.latencies if latencies is None else latencies
     timed = {name: asdict(seen) for name, seen in latencies.items()}
@@ -197,8 +203,9 @@ def check_rule(study: Any) -> None:
 def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     """Return the measure of a rule over the regimes of the cases."""
     regimes = tuple(regimes_of(cases).unique())
-    one_of("regime in over =", rule.over, ("average", "worst", *regimes))
     summary, name = rule.measure
+    with told_with("[select] over"):
+        one_of("regime", rule.over, ("average", "worst", *regimes))
     with told_with("[select] criterion"):
         return Criterion(measures.measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
 
@@ -320,7 +327,7 @@ def verdict(selection: Selection, each: Any) -> str:
     if apart is None or math.isnan(each.validate):
         return "nothing to judge it by"
     if apart.identical:
-        return "the same on every flight, less simple"
+        return f"the same on every {selection.unit}, less simple"
     by = f"{'worse' if apart.effect > 0 else 'better'} by {significant(abs(apart.effect))}"
     if each.within:
         return f"{'tied' if apart.tie else f'{by}, within the margin'}, less simple"

@@ -266,7 +266,7 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
     ("options", "words"),
     [
         (("--criterion", "mean"), "[select] criterion: unknown measure"),
-        (("--over", "best"), "unknown regime in over ="),
+        (("--over", "best"), "[select] over: unknown regime"),
         (("--max-failure", "2"), '"max_failure" must be at least 0'),
         (("--check", "1000000000"), '"check" must be at least 0 and at most 100000'),
         (("--max-failure", "2%"), '"2%" is not a number'),
@@ -284,8 +284,8 @@ def test_select_refuses(capsys, finished, options, words):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('criterion = "mean timescale-eror"', "[select] criterion: unknown measure"),
-        ('over = "velocity noise 0.2 m/s"', "unknown regime in over ="),
+        ('criterion = "mean timescale-eror"', "bad.toml: [select] criterion: unknown measure"),
+        ('over = "velocity noise 0.2 m/s"', "bad.toml: [select] over: unknown regime"),
         ("max_failur = 0.1", 'did you mean "max_failure"?'),
     ],
 )
