@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, NoReturn, TypeAlias
 
+from sparsefit.codec import Place
 from sparsefit.errors import InputError, one_line, suggestion
 
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
@@ -114,6 +115,14 @@ class Option:
             unit = "" if self.metavar in PLAIN else self.metavar
             remedy = f"; give it in {unit}, without the unit" if unit else ""
             raise argparse.ArgumentTypeError(f'"{text}" is not a {kind}{remedy}') from None
+
+
+class OptionPlace(Place):
+    """The option that a refusal names."""
+
+    def error(self, problem: str) -> InputError:
+        """`--length-scale must be above 0`."""
+        return InputError(f"--{self.key.replace('_', '-')} {problem}" if self.key else problem)
 
 
 def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:

@@ -8,7 +8,16 @@ import sys
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import FORCE, RESULTS, Option, Reply, Verbs, option_of, verb
+from sparsefit.cli.options import (
+    FORCE,
+    RESULTS,
+    Option,
+    OptionPlace,
+    Reply,
+    Verbs,
+    option_of,
+    verb,
+)
 from sparsefit.cli.terminal import Progress, check_output
 from sparsefit.cli.verb_study import STUDY, stored
 from sparsefit.study.keys import SelectionRule
@@ -56,7 +65,8 @@ def run(args: argparse.Namespace) -> Reply:
     args.stopped = "stopped; run the same command again to continue"
     given = {name: getattr(args, name) for name in names_of(SelectionRule)}
     options = {name: value for name, value in given.items() if value is not None}
-    rule, of_flights = study.definition.selection.changed(**options), study.kind == "flights"
+    rule = study.definition.selection.changed(OptionPlace(""), **options)
+    of_flights = study.kind == "flights"
     flown, refused, latencies = study, {}, {}
     if rule.on_board:  # the candidates that can fly; cases that are there stay
         flown, refused = _ran(study.flown(), args), study.refusals

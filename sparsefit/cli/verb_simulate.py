@@ -10,10 +10,9 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from sparsefit.cli.options import FORCE, Option, Reply, Verbs, option_of, verb
+from sparsefit.cli.options import FORCE, Option, OptionPlace, Reply, Verbs, option_of, verb
 from sparsefit.cli.terminal import check_output
-from sparsefit.codec import Place
-from sparsefit.errors import InputError, integer, one_line
+from sparsefit.errors import integer, one_line
 from sparsefit.study.quantities import QUANTITIES, FlightWords
 from sparsefit.study.schema import described, sentences
 
@@ -47,14 +46,6 @@ def add(verbs: Verbs) -> None:
         FORCE,
     )  # fmt: skip
     verb(verbs, "simulate", run, options, groups)
-
-
-class OptionPlace(Place):
-    """The option that a refusal names."""
-
-    def error(self, problem: str) -> InputError:
-        """`--length-scale must be above 0`."""
-        return InputError(f"--{self.key.replace('_', '-')} {problem}" if self.key else problem)
 
 
 def run(args: argparse.Namespace) -> Reply:

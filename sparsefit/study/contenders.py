@@ -86,7 +86,7 @@ class ProblemSource:
     """One problem: what makes its arrays, and what is done to them.
 
     series: the entry it belongs to; identity: what determines its numbers; test: a file of rows
-    that are held out.
+    that are held out; dataset: the name of a public one.
     """
 
     name: str
@@ -96,6 +96,7 @@ class ProblemSource:
     alter: str
     seed: int
     test: Path | None = None
+    dataset: str = ""
 
     def build(self) -> Data:
         """The arrays of the problem, checked as a regression problem.
@@ -144,8 +145,7 @@ class ProblemDesign:
         content = []
         for number, tolerance in self.cells:
             c = self.contenders[number]
-            file = Path(c.recipe.file) if c.recipe is not None else Path()
-            code = digest_of(file) if file.is_file() else ""
+            code = " ".join(map(digest_of, c.files))
             own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
             if c.recipe is not None and c.recipe.start != SolverKeys.start:
                 own.append(c.recipe.start)
@@ -243,7 +243,8 @@ def _read_problem(
             own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
             whole_identity = canonical_json([identity, None, beside, alter, seed])
             series = str(entry.get("name", entry[kind]))
-            yield ProblemSource(own, series, make, whole_identity, alter, seed, test)
+            data = keys.dataset or ""
+            yield ProblemSource(own, series, make, whole_identity, alter, seed, test, data)
 
 
 def _flown(setup: Setup, flight: int, count: int, seed: int) -> Data:

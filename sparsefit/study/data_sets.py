@@ -135,6 +135,12 @@ def digest_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def shipping(name: str) -> Any:
+    """`sklearn.datasets`, which a data set ships with. Raises as `read_public`."""
+    one_of("data set", name, DATASETS)
+    return optional("sklearn.datasets", f'data set "{name}" ships with scikit-learn', "peers")
+
+
 def read_public(name: str) -> Data:
     """A data set that ships inside scikit-learn, centred, as there is no intercept.
 
@@ -146,8 +152,7 @@ def read_public(name: str) -> Data:
         InputError: on an unknown name.
         MissingExtra: where scikit-learn is not installed.
     """
-    one_of("data set", name, DATASETS)
-    datasets = optional("sklearn.datasets", f'data set "{name}" ships with scikit-learn', "peers")
+    datasets = shipping(name)
     load = getattr(datasets, f"load_{name.removesuffix('-quadratic').replace('-', '_')}")
     theta, target = (np.asarray(part, float) for part in load(return_X_y=True))
     if name in ("digits", "iris", "wine", "breast-cancer"):

@@ -31,6 +31,7 @@ from sparsefit.study.crossing import (
 )
 from sparsefit.study.draw import read_logs
 from sparsefit.study.keys import (
+    CRITERIA,
     FLIGHT_SECTIONS,
     OWN,
     PROBLEM_SECTIONS,
@@ -49,6 +50,7 @@ from sparsefit.study.schema import (
     distinct,
     names_of,
     read,
+    record_of,
     required,
     section_of,
     sentences,
@@ -64,8 +66,8 @@ class FlightDesign:
     """Flights and the cells that are made of every one of them.
 
     given: the keys of the sections flights, derivative, library and readout that the file sets,
-    dotted; sweep: levels by dotted key; validate_count: the
-    flights of the split `validate`, None without [split].
+    dotted; sweep: levels by dotted key; validate_count: flights of the split `validate`, None
+    without [split].
     """
 
     count: int
@@ -139,7 +141,9 @@ def definition_of(document: Section, path: str) -> Definition:
     heading, _ = taken(Heading, document, place)
     run = read(RunRule, document, "run", place)
     outputs = read(Outputs, document, "outputs", place)
-    selection = read(SelectionRule, document, "select", place)
+    default = {"criterion": CRITERIA["flights" if flown else "problems"]}
+    rules = {**default, **section_of(document, "select", place)}
+    selection = record_of(SelectionRule, rules, place.within("select"))
     here = place.within("outputs")
     for name in ("tables", "figures"):
         if getattr(outputs, name):
@@ -194,6 +198,9 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
     sweep = read_sweep(section_of(document, "sweep", place), place.within("sweep"))
     fitted = read_backends(document, place)
     protocols = read_protocols(document, sweep, place)
+    listed = [{"name": name, **overrides} for name, overrides in protocols.items()]
+    flat = {"sweep": sweep, "protocols": listed}  # keys bare or in quotes are one content
+    content |= {name: flat[name] for name in flat if name in document}
     planned = count * len(protocols) * math.prod(map(len, sweep.values())) * len(fitted)
     if planned > MOST_CASES:
         shorten = "shorten [sweep], the back-end settings or flights.count"

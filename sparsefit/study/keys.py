@@ -121,13 +121,16 @@ class Outputs:
         }  # fmt: skip
 
 
+CRITERIA = {"flights": "mean timescale-error", "problems": "mean holdout-error"}
+
+
 @dataclass(frozen=True, kw_only=True)
 class SelectionRule:
     """The rule by which a candidate is chosen, constraints with it: [select]."""
 
     criterion: str = key(
         'A summary and a measure: the least (or most) of it is best; of problems '
-        '`"mean holdout-error"` unless said.', "mean timescale-error"
+        f'`"{CRITERIA["problems"]}"` unless said.', CRITERIA["flights"]
     )  # fmt: skip
     over: str = key(
         '`"average"` over the regimes, the `"worst"` of them, or the name of one.', "average"
@@ -170,9 +173,10 @@ class SelectionRule:
         summary, _, name = self.criterion.rpartition(" ")
         return summary, name
 
-    def changed(self, **options: object) -> SelectionRule:
+    def changed(self, place: Place | None = None, /, **options: object) -> SelectionRule:
         """The rule with these options in place of its own; InputError names one that is wrong."""
-        return record_of(type(self), {**vars(self), **options}, Place("select", "select"))
+        values = {**vars(self), **options}
+        return record_of(type(self), values, place or Place("select", "select"))
 
 
 @dataclass(frozen=True)

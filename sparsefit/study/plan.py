@@ -87,6 +87,9 @@ class Experiment:
         """The columns that are known of a case before it is run."""
         raise NotImplementedError
 
+    def check(self) -> None:
+        """Refuse, before any work, what cannot be run here at all."""
+
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """The cases ``wanted`` (u, c) in batches."""
         raise NotImplementedError

@@ -78,6 +78,18 @@ class Contender:
         return self.limit + targets * self.recipe.start + FIRST_SECONDS
 
     @property
+    def files(self) -> list[Path]:
+        """The solver's own files: that of its class, or what of a command lies beside the study."""
+        if self.recipe is None or not self.recipe.file:
+            return []
+        file = Path(self.recipe.file)
+        if not self.recipe.command:
+            return [file]
+        words = [(file.parent / word).resolve() for word in self.recipe.command]
+        home = file.parent.resolve()  # where an interpreter that is linked there does not lie
+        return [path for path in words if path.is_file() and path.is_relative_to(home)]
+
+    @property
     def problem_of(self) -> str:
         """The objective that it minimises, as canonical JSON."""
         return canonical_json([self.backend, dict(self.settings)])

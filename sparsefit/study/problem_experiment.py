@@ -21,7 +21,7 @@ from sparsefit.arrays import BoolArray
 from sparsefit.study.arena import JUDGE, Arena, size_of
 from sparsefit.study.columns import PROBLEM_COLUMNS
 from sparsefit.study.contenders import ProblemDesign
-from sparsefit.study.data_sets import Data
+from sparsefit.study.data_sets import Data, shipping
 from sparsefit.study.manifest import code_version, processor, version_of, versions
 from sparsefit.study.plan import Asking, Batch, Experiment
 from sparsefit.study.problem_desk import Contender, JudgeDesk, SolverDesk
@@ -123,6 +123,12 @@ class ProblemExperiment(Experiment):
         """A process for each family of solvers, and one for the judge."""
         arguments = (self.design.contenders, self.design.fractions)
         return (JudgeDesk if name == JUDGE else SolverDesk), arguments
+
+    def check(self) -> None:
+        """Refuse data sets whose package is missing."""
+        for source in self.design.problems:
+            if source.dataset:
+                shipping(source.dataset)
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """All cases of one problem and one objective, which take turns."""

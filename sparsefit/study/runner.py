@@ -124,6 +124,7 @@ def run(
         wanted = experiment.whole(wanted, store.done, store.version)
         if store.finished and not wanted.any():
             return RunSummary.of(store, resumed=plan.size)
+        experiment.check()
         resumed, total, computed = int((store.done & ~wanted).sum()), int(wanted.sum()), 0
         with Store.opened(folder, plan) as store:
             work = (experiment, experiment.batches(wanted), count, store.sync)

@@ -18,10 +18,19 @@ import numpy as np
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures, resampling
 from sparsefit.study.entries import factor_words
+from sparsefit.study.keys import CRITERIA
 from sparsefit.study.measures import factors
 from sparsefit.study.resampling import ROUNDING, Difference
 from sparsefit.study.table import significant
-from sparsefit.study.trials import LIMITS, Breach, Criterion, Trials, limit_text, regimes_of
+from sparsefit.study.trials import (
+    LIMITS,
+    Breach,
+    Criterion,
+    Trials,
+    limit_text,
+    regimes_of,
+    unit_of,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +80,7 @@ class Selection:
     @property
     def unit(self) -> str:
         """The word for a unit."""
-        return "problem" if "objective" in self.cases else "flight"
+        return unit_of(self.cases)
 
     def counted(self, count: int) -> str:
         """Return a number of units in words, `1 problem`."""
@@ -120,8 +129,6 @@ def select(
     """
     rule = rule or study.definition.selection
     rule = rule.changed(**options) if options else rule
-    if study.kind == "problems" and rule.criterion == type(rule)().criterion:
-        rule = rule.changed(criterion="mean holdout-error")
     cases, refused = study.cases, dict(refusals or {})
     _check_split(study, cases)
     cases = cases[~cases["title"].isin(refused)]
@@ -194,7 +201,7 @@ def check_rule(study: Any) -> None:
         InputError: with the nearest name that is known.
     """
     rule = study.definition.selection
-    if rule != type(rule)():
+    if rule != type(rule)(criterion=CRITERIA[study.kind]):
         cases = study.plan()
         _check_split(study, cases)
         _criterion(rule, cases)

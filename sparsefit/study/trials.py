@@ -134,10 +134,9 @@ class Trials:
         unequal = (np.isnan(count) != np.isnan(count[:1])).any(axis=(1, 2, 3))
         if unequal.any():
             title = cases.loc[candidate == unequal.argmax(), "title"].iloc[:1]
-            raise InputError(
-                f"{', '.join(title) or candidates[int(unequal.argmax())]} was not tried on the "
-                "same flights as the others: finish the study first (sparsefit study run)"
-            )
+            words = f"the same {unit_of(cases)}s as the others: finish the study first"
+            first = ", ".join(title) or candidates[int(unequal.argmax())]
+            raise InputError(f"{first} was not tried on {words} (sparsefit study run)")
         self.loss = criterion.loss(self.values)
 
         def resampled(own: Array) -> Array:
@@ -210,6 +209,11 @@ class Trials:
                     where = self.criterion.regimes[place] if len(own) > 1 else ""
                     broken.append(Breach(name, where, float(own[place]), limit))
         return [tuple(broken) for broken in every]
+
+
+def unit_of(cases: pd.DataFrame) -> str:
+    """Return the word for a unit."""
+    return "problem" if "objective" in cases else "flight"
 
 
 def regimes_of(cases: pd.DataFrame) -> pd.Series:

@@ -267,8 +267,8 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
     [
         (("--criterion", "mean"), "[select] criterion: unknown measure"),
         (("--over", "best"), "[select] over: unknown regime"),
-        (("--max-failure", "2"), '"max_failure" must be at least 0'),
-        (("--check", "1000000000"), '"check" must be at least 0 and at most 100000'),
+        (("--max-failure", "2"), "--max-failure must be at least 0"),
+        (("--check", "1000000000"), "--check must be at least 0 and at most 100000"),
         (("--max-failure", "2%"), '"2%" is not a number'),
         (("--max-memory", "90"), "max_memory needs it"),
         (("-o", "small.toml"), "small.toml exists; add --force"),

@@ -85,7 +85,9 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
     assert study.flights.count * len(study.flights.cells) == 6 * 2 * 2 * 3
     assert list(dict.fromkeys(c.choice.label for c in study.flights.cells)) == ["lasso", "literal"]
     bare = load(tmp_path, GOOD.replace('"derivative.method"', "derivative.method"))
-    assert bare.flights.protocols == study.flights.protocols
+    assert (bare.flights.protocols, bare.hash) == (study.flights.protocols, study.hash)
+    swept = GOOD.replace('"flights.velocity_noise"', "flights.velocity_noise")
+    assert load(tmp_path, swept).hash == study.hash
     parts = [study.flights.split(flight) for flight in range(6)]  # which are interleaved
     assert (parts.count("validate"), parts.count("evaluate")) == (2, 4)
     assert "evaluate" in parts[:3]

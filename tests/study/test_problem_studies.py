@@ -12,7 +12,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.cli import main
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, MissingExtra
 from sparsefit.study.arena import Repeats, median_interval
 from sparsefit.study.data_sets import DATASETS, Data, drawn, read_data, read_public
 from sparsefit.study.export import read_cases
@@ -102,6 +102,7 @@ def test_one_s_own_solver_is_compared_by_its_settings(own):
     assert (cases.loc[cases["solver"] == "plain steps=1", "status"] == "inaccurate").all()
     assert cases.attrs == {"limit": 5.0}
     assert own.missing == {}
+    assert own.definition.selection.criterion == "mean holdout-error"
     assert own.run().computed == 0
 
 
@@ -184,6 +185,33 @@ def test_a_changed_solver_file_is_another_case(own):
     path.write_text(text)
     ours = (own.plan()["solver"] == "homotopy").to_numpy()
     assert (before == after).to_numpy().tolist() == ours.tolist()
+
+
+def test_a_changed_file_of_a_command_is_another_case(tmp_path):
+    words = f'command = ["{sys.executable}", "program.py", "--quick"]'
+    text = f'{PROBLEMS}{CORRELATED}[[solvers]]\nname = "theirs"\n{words}\n'
+    text += '[[backends]]\nname = "lasso"\nsolver = ["theirs", "homotopy"]\n'
+    identities = []
+    for program in (COMMAND, f"{COMMAND}# changed"):
+        (tmp_path / "program.py").write_text(program)
+        identities.append(load(tmp_path, text).plan()["identity"])
+    assert (identities[0] == identities[1]).tolist() == [False, True]
+
+
+def test_a_criterion_that_is_given_is_not_replaced(tmp_path):
+    given = f'{PROBLEMS}{CORRELATED}[[backends]]\nname = "lasso"\n[select]\ncriterion = '
+    study = load(tmp_path, f'{given}"mean timescale-error"\n')
+    assert study.definition.selection.criterion == "mean timescale-error"
+
+
+def test_a_data_set_without_its_package_is_refused_before_any_work(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "sklearn.datasets", None)
+    text = '[[problems]]\ndataset = "iris"\n[[backends]]\nname = "lasso"\n'
+    study = load(tmp_path, PROBLEMS + text)
+    assert main(["study", "check", study.path]) != 0
+    assert "ships with scikit-learn: pip install" in capsys.readouterr().err
+    with pytest.raises(MissingExtra):
+        study.run(progress=lambda *_: pytest.fail("work began"))
 
 
 def test_times_are_those_of_whole_comparisons(own):

@@ -88,7 +88,7 @@ def test_equals_tie_and_the_first_sentence_can_be_read_aloud():
 def test_of_one_problem_there_is_no_interval_and_errors_are_of_rows_held_out():
     made = frame(*(solve("p0", name, 0.1, holdout_error=size)
                    for name, size in (("a", 0.2), ("b", 0.1))))  # fmt: skip
-    selection = chosen(made)
+    selection = chosen(made, criterion="mean holdout-error")
     assert str(selection).startswith("Use b.\n- Score: 10.0 % on 1 problem.\n- Rule: mean held-out")
     assert [each.title for each in selection.tied] == ["a"]
 
