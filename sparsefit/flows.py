@@ -5,9 +5,9 @@ function.
 """
 
 from sparsefit.flight.faults import LogFaults
-from sparsefit.flight.flow import CellularFlow, FlowField, ShapedCells, SuperposedFlow
+from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.vehicle import ThrustSeries
-from sparsefit.flight.waves import Turbulence, WaveFlow
+from sparsefit.flight.waves import FlowField, Turbulence, WaveFlow
 
 __all__ = ["CellularFlow", "FlowField", "LogFaults", "ShapedCells", "SuperposedFlow",
            "ThrustSeries", "Turbulence", "WaveFlow"]  # fmt: skip

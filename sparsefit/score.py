@@ -10,7 +10,8 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError, is_real
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
-from sparsefit.flight.flow import Cells, Flow, FlowField
+from sparsefit.flight.flow import Cells
+from sparsefit.flight.waves import Flow, FlowField
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,9 @@ from typing import BinaryIO
 
 from sparsefit.errors import InputError
 
-REMEDIES = {
+REMEDIES = {  # by the number of an OSError; of others the path is to be checked
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "make room, or choose another folder"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), "change its permissions, or choose another"),
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.EISDIR: "choose another name",
 }
@@ -45,26 +46,28 @@ def read_whole(path: str | os.PathLike[str], *, most: int) -> bytes:
 def regular_file(path: str | os.PathLike[str], *, most: int) -> Iterator[BinaryIO]:
     """A regular file of at most ``most`` bytes, open to be read in a ``with`` block.
 
-    Raises InputError where there is none, it cannot be read or is too long; also of a device or a
-    pipe, which may have no end.
+    Raises InputError where there is none, it is empty, cannot be read or is too long; also of a
+    device or a pipe, which may have no end.
     """
-    name, check = os.fspath(path), "check the path"
-    try:
-        status = os.stat(path)
-    except (OSError, ValueError) as error:  # a zero byte in the name
-        reason = getattr(error, "strerror", error)
-        raise InputError(f"cannot read {name}: {reason}; {check}") from None
-    if not stat.S_ISREG(status.st_mode):
-        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "no regular file"
-        raise InputError(f"cannot read {name}: it is {kind}; {check}")
-    if status.st_size > most:
-        size = f"{status.st_size / 1e6:.0f} MB, more than {most / 1e6:.0f} MB"
-        raise InputError(f"cannot read {name}: it has {size}; is it the right file?")
-    try:
+    with refusing(path, "read"):
+        try:
+            status = os.stat(path)
+        except ValueError as error:  # a zero byte in the name
+            raise OSError(str(error)) from None
+        fault = ""
+        if stat.S_ISDIR(status.st_mode):
+            fault = "a folder; give a file in it"
+        elif not stat.S_ISREG(status.st_mode):
+            fault = "no regular file; give another"
+        elif not status.st_size:
+            fault = "empty; give another, or write it again"
+        elif status.st_size > most:
+            size = f"{status.st_size / 1e6:.0f} MB, more than {most / 1e6:.0f} MB"
+            fault = f"too long, {size}; is it the right file?"
+        if fault:
+            raise InputError(f"cannot read {os.fspath(path)}: it is {fault}")
         with Path(path).open("rb") as file:
             yield file
-    except OSError as error:
-        raise InputError(f"cannot read {name}: {error.strerror}; {check}") from None
 
 
 @contextmanager
@@ -90,10 +93,10 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def refusing(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Tell an `OSError` inside as `InputError`: the file that cannot be written, cause, remedy."""
+def refusing(path: str | os.PathLike[str], deed: str = "write") -> Iterator[None]:
+    """Tell an `OSError` inside as `InputError`: the path, what cannot be done, cause, remedy."""
     try:
         yield
     except OSError as error:
-        cause, remedy = error.strerror or error, REMEDIES.get(error.errno or 0, "check the folder")
-        raise InputError(f"cannot write {os.fspath(path)}: {cause}; {remedy}") from None
+        cause, remedy = error.strerror or error, REMEDIES.get(error.errno or 0, "check the path")
+        raise InputError(f"cannot {deed} {os.fspath(path)}: {cause}; {remedy}") from None

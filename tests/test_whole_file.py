@@ -50,7 +50,7 @@ def test_a_full_disk_is_told_with_file_and_folder(tmp_path, monkeypatch):
 def test_no_folder_no_file_and_a_folder_in_the_way(tmp_path):
     (tmp_path / "taken").mkdir()
     for name, cause in (
-        ("absent/a", "No such file or directory; check the folder"),
+        ("absent/a", "No such file or directory; check the path"),
         ("taken", "Is a directory; choose another name"),
         ("a" * 300, "File name too long; choose a shorter name"),
     ):
@@ -88,7 +88,7 @@ def test_long_names_can_be_written(tmp_path):
 
 def test_an_error_without_a_number_is_told_too():
     with (
-        pytest.raises(InputError, match=r"^cannot write a: torn; check the folder$"),
+        pytest.raises(InputError, match=r"^cannot write a: torn; check the path$"),
         refusing("a"),
     ):
         raise OSError("torn")
@@ -99,12 +99,14 @@ def test_what_may_have_no_end_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "zero").symlink_to("/dev/zero")
     (tmp_path / "long").write_bytes(b"12345")
+    (tmp_path / "none").touch()
     assert read_whole(tmp_path / "long", most=5) == b"12345"
     for name, words in (
         ("pipe", "no regular file"),
         ("zero", "no regular file"),
         ("", "a folder"),
-        ("long", "is it the right file"),
+        ("long", "too long, .*is it the right file"),
+        ("none", "it is empty; give another"),
         ("absent", "No such file"),
         ("a\0b", "null (byte|character)"),
     ):

@@ -41,13 +41,13 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
     file = Path(path)
     if not path.strip():
         raise InputError("the name of the file to write is empty; give one")
+    if file.exists() and not file.is_file():
+        kind = "a folder; give a file in it" if file.is_dir() else "no regular file; give another"
+        raise InputError(f"cannot write {path}: it is {kind}")
     if endings:
         one_of("file type", file.suffix.lower() or file.name, endings)
     if not file.parent.is_dir():
         raise InputError(f"cannot write {path}: there is no folder {file.parent}; make it first")
-    if file.exists() and not file.is_file():
-        kind = "a folder" if file.is_dir() else "no regular file"
-        raise InputError(f"{path} is {kind}; choose another name")
     if os.path.lexists(path) and not force:
         raise InputError(f"{path} exists; add --force or choose another name")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from sparsefit.arrays import Brief
 from sparsefit.codec import finite_or_none
-from sparsefit.flight.flow import FlowField
+from sparsefit.flight.waves import FlowField
 from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
 from sparsefit.likelihood.vehicle_estimate import VehicleEstimate
 from sparsefit.regression.certificate import Certificate

@@ -13,7 +13,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, integer, is_number, non_negative, positive, store
-from sparsefit.flight.record import MINIMUM_SAMPLES, Flight, level_of, streams
+from sparsefit.flight.record import Flight, streams
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class LogFaults:
         jump_size: by how much [m], in a random direction.
         gaps: how many gaps there are; two may overlap.
         gap_duration: the longest they may be [s]; each is drawn uniformly from 0 to it.
-        lost_samples: the share of samples that are lost, each by itself, in [0, .999].
+        lost_samples: the share of samples that are lost, each by itself, in [0, 1].
 
     Raises:
         InputError: if one of them is not in its range.
@@ -47,14 +47,14 @@ class LogFaults:
 
     def __post_init__(self) -> None:
         """Check every fault."""
-        store(self, level_of, "m", "wander", "jump_size")
-        store(self, level_of, "m/s", "outlier_size")
+        store(self, non_negative, "m", "wander", "jump_size")
+        store(self, non_negative, "m/s", "outlier_size")
         store(self, positive, "s", "wander_time")
         store(self, non_negative, "s", "gap_duration")
         store(self, integer, 0, "jumps", "gaps")
-        for name, most in (("outliers", 1.0), ("lost_samples", 0.999)):
-            if not is_number(share := getattr(self, name), 0.0, most):
-                raise InputError(f"{name} is a share of the samples, 0 to {most:g}; got {share!r}")
+        for name in ("outliers", "lost_samples"):
+            if not is_number(share := getattr(self, name), 0.0, 1.0):
+                raise InputError(f"{name} is a share of the samples, 0 to 1; got {share!r}")
 
     def spoil(self, flight: Flight, seed: np.random.SeedSequence) -> Flight:
         """Return the log of a flight with these faults; each fault has a stream of its own.
@@ -67,7 +67,7 @@ class LogFaults:
             if count > flight.samples:
                 raise InputError(f"{name}: {count} in {flight.samples} samples; give fewer")
         wander, outlier, jump, gap, loss = streams(seed, 5)
-        samples = flight.samples
+        samples, time = flight.samples, flight.time[:, None]
         error = wander.standard_normal((samples, 2))
         memory = np.exp(-np.diff(flight.time) / self.wander_time)
         for row, share in enumerate(memory.tolist(), start=1):
@@ -79,19 +79,11 @@ class LogFaults:
         off = self.outlier_size * hit[:, None] * _directions(samples, outlier)
         lengths = np.minimum(self.gap_duration * gap.random(self.gaps), flight.duration)
         begins = flight.time[0] + (flight.duration - lengths) * gap.random(self.gaps)
-        time = flight.time[:, None]
-        logged = ~((begins < time) & (time < begins + lengths)).any(axis=1)
-        lost = loss.random(samples) < self.lost_samples
-        lost[[0, -1]] = False  # neither these, nor are they in a gap
-        logged &= ~lost
-        if np.count_nonzero(logged) < MINIMUM_SAMPLES:
-            raise InputError(
-                f"gaps of up to {self.gap_duration:g} s and {self.lost_samples:g} of lost samples "
-                f"leave {np.count_nonzero(logged)} samples of a flight of {flight.duration:g} s: "
-                "make them fewer or shorter"
-            )
+        missing = ((begins < time) & (time < begins + lengths)).any(axis=1)
+        missing |= loss.random(samples) < self.lost_samples
+        missing[[0, -1]] = False
         position = flight.position + self.wander * error + np.cumsum(steps, axis=0)
-        return replace(flight, position=position, velocity=flight.velocity + off).rows(logged)
+        return replace(flight, position=position, velocity=flight.velocity + off).rows(~missing)
 
 
 def _directions(count: int, stream: np.random.Generator) -> Array:

@@ -12,28 +12,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, finite, is_number, non_negative, pair, positive, store
-from sparsefit.flight.waves import Flow, FlowField, Formula, WaveFlow
-
-__all__ = ["Cells", "CellularFlow", "Flow", "FlowField", "ShapedCells", "SuperposedFlow", "as_flow"]
+from sparsefit.flight.waves import Flow, Formula, WaveFlow
 
 
 class Cells(Flow):
-    """Base of the flows that are an array of cells."""
+    """Base of the flows that are an array of cells: U0 [m/s], L [m] and (L_x, L_y) [m]."""
 
+    mean_velocity: float
+    length_scale: float
+    length_scales: tuple[float, float]
     heading: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
 
-    if TYPE_CHECKING:  # a field of one subclass, a property of the other
-
-        @property
-        def length_scales(self) -> tuple[float, float]:
-            """(L_x, L_y) [m]."""
+    @property
+    def timescale(self) -> float:
+        """The turnover time, length_scale / mean_velocity [s]."""
+        return self.length_scale / self.mean_velocity
 
     @property
     def period(self) -> float:
@@ -70,18 +70,14 @@ class CellularFlow(Cells):
         store(self, positive, "m", "length_scale")
 
     @property
-    def wavenumber(self) -> float:
-        """The wavenumber pi / L [1/m]."""
-        return math.pi / self.length_scale
-
-    @property
-    def length_scales(self) -> tuple[float, float]:
+    def length_scales(self) -> tuple[float, float]:  # type: ignore[override]
         """(L, L) [m]: the cells are square."""
         return (self.length_scale, self.length_scale)
 
     def formula(self, functions: Any) -> Formula:
         """Return Eq. 1, as of `Flow`."""
-        k, speed, sin, cos = self.wavenumber, self.mean_velocity, functions.sin, functions.cos
+        k, speed = math.pi / self.length_scale, self.mean_velocity
+        sin, cos = functions.sin, functions.cos
 
         def velocity(x: Any, y: Any, _: Any) -> tuple[Any, Any]:
             east, north = k * x, k * y
@@ -127,9 +123,8 @@ class ShapedCells(Cells):
         if is_number(self.length_scales):
             object.__setattr__(self, "length_scales", (self.length_scales, self.length_scales))
         store(self, pair, "m", "length_scales", "offset")
-        sides = [positive("length_scales", side, "m") for side in self.length_scales]
-        if max(sides) > 1e6 * min(sides):
-            raise InputError("length_scales differ by more than 1e6 times: no cells")
+        for side in self.length_scales:
+            positive("length_scales", side, "m")
         store(self, positive, "m/s", "mean_velocity")
         store(self, pair, "m/s", "drift")
         store(self, finite, "rad", "heading", "swell_phase")
@@ -142,7 +137,7 @@ class ShapedCells(Cells):
             raise InputError(f"swell is a share of mean_velocity, below 1; got {self.swell!r}")
 
     @property
-    def length_scale(self) -> float:
+    def length_scale(self) -> float:  # type: ignore[override]
         """The length sqrt(2) pi / sqrt(mean |k|^2) [m] of the two waves: L of square cells."""
         return self.waves.length_scale
 
@@ -184,12 +179,11 @@ class SuperposedFlow(Flow):
     """The sum of several flows, eddies within eddies or among random waves, and of a steady wind.
 
     Args:
-        components: the flows, none of them such a sum; none are needed where there is a wind.
+        components: the flows; none are needed where there is a wind.
         wind: a steady wind beside them [m/s], (x, y); it carries the vehicle, and no pattern.
 
     Raises:
-        InputError: if there is neither, or a component is no flow or itself superposed; if the
-            wind is not two finite numbers.
+        InputError: if there is neither, a component is no flow or the wind not two numbers.
     """
 
     components: tuple[Flow, ...]
@@ -198,18 +192,17 @@ class SuperposedFlow(Flow):
     def __post_init__(self) -> None:
         """Check the components and the wind, and store them as tuples."""
         given = self.components
-        parts = tuple(given) if isinstance(given, (tuple, list)) else (None,)
+        parts = tuple(given) if isinstance(given, tuple | list) else (None,)
         store(self, pair, "m/s", "wind")
-        single = all(isinstance(part, Flow) and not isinstance(part, type(self)) for part in parts)
-        if not single or not (parts or any(self.wind)):
+        if not all(isinstance(part, Flow) for part in parts) or not (parts or any(self.wind)):
             raise InputError(
-                "SuperposedFlow: components must be a tuple of at least one CellularFlow or other "
-                f"flow, (CellularFlow(10.0, 4.0), ...), but for a wind alone; got {given!r}"
+                "SuperposedFlow: components must be a tuple of flows, (CellularFlow(10.0, 4.0), "
+                f"...), which may be empty beside a wind alone; got {given!r}"
             )
         object.__setattr__(self, "components", parts)
 
     @property
-    def mean_velocity(self) -> float:
+    def mean_velocity(self) -> float:  # type: ignore[override]
         """U0 = sqrt(2 <|w|^2>) [m/s] of the components, no two of which share a wave."""
         return math.hypot(*(part.mean_velocity for part in self.components))
 
@@ -235,45 +228,3 @@ class SuperposedFlow(Flow):
             return u, v
 
         return velocity
-
-
-@dataclass(frozen=True, eq=False)
-class FieldFlow(Flow):
-    """A flow of a user's own: any object with ``velocity(x, y, t)``; it has no cells."""
-
-    field: FlowField
-
-    @property
-    def mean_velocity(self) -> float:
-        """U0 [m/s] where the object has one, else NaN."""
-        return float(getattr(self.field, "mean_velocity", math.nan))
-
-    @property
-    def period(self) -> float:
-        """The period [m] where the object has one, else 0: flights start at the origin."""
-        return float(getattr(self.field, "period", 0.0))
-
-    def formula(self, functions: Any) -> Formula:
-        """Return the object's own velocity, as of `Flow`."""
-
-        def velocity(x: Any, y: Any, t: Any) -> tuple[Any, Any]:
-            u, v = np.moveaxis(np.asarray(self.field.velocity(x, y, t), np.float64), -1, 0)
-            return u, v
-
-        return velocity
-
-
-def as_flow(flow: object) -> Flow | None:
-    """Return a flow as it is, None of None, and a `FieldFlow` of any object with a velocity.
-
-    Raises:
-        InputError: if it is none of them.
-    """
-    if flow is None or isinstance(flow, Flow):
-        return flow
-    if not callable(getattr(flow, "velocity", None)):
-        raise InputError(
-            "flow must be one of CellularFlow, ShapedCells, WaveFlow, Turbulence, SuperposedFlow, "
-            f"None, or an object with velocity(x, y, t); got {flow!r}"
-        )
-    return FieldFlow(flow)  # type: ignore[arg-type]

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, Brief, frozen
-from sparsefit.errors import InputError, non_negative, one_of, store
-from sparsefit.flight.flow import Flow, as_flow
-from sparsefit.flight.vehicle import MOST_SAMPLES, PointMassVehicle
+from sparsefit.errors import InputError, one_of, store
+from sparsefit.flight.vehicle import PointMassVehicle
+from sparsefit.flight.waves import FlowField, check_flow
 
-__all__ = ["FRAMES", "LARGEST", "MINIMUM_SAMPLES", "MOST_SAMPLES", "SMALLEST_STEP", "Flight"]
 MINIMUM_SAMPLES = 3  # the least a second-order derivative can be taken from
+MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
 SMALLEST_STEP = 1e-9  # [s] between samples, in the mean
 FRAMES = {
     "": "x and y as in the file",
@@ -52,7 +52,7 @@ class Flight(Brief):
     position: Array
     velocity: Array
     vehicle: PointMassVehicle
-    flow: Flow | None = None
+    flow: FlowField | None = None
     velocity_measured: bool = True
     thrust: Array | None = None
     frame: str = ""
@@ -61,13 +61,9 @@ class Flight(Brief):
     def from_positions(
         cls, time: object, position: object, vehicle: PointMassVehicle, **others: Any
     ) -> Flight:
-        """Return a flight whose log has positions only.
+        """Return a flight whose log has positions only; the arguments are those of the class.
 
-        The arguments are those of the class. The velocity is the difference quotient of the
-        position; no estimate reads it where `velocity_measured` is false.
-
-        Raises:
-            InputError: as `Flight` does.
+        The velocity is the difference quotient of the position; no estimate reads it.
         """
         x: Any = position
         return cls(time, x, x, vehicle, velocity_measured=False, **others)  # type: ignore[arg-type]
@@ -83,17 +79,22 @@ class Flight(Brief):
                 value = f"{values[tuple(large[0])]:g} in row {large[0][0]}"
                 raise InputError(f"{name} is {value}: no flight; change the unit")
         counts = [len(getattr(self, name)) for name in names]
-        if len(set(counts[:3])) != 1:
-            raise InputError(
-                "time, position and velocity must have one row per sample each; "
-                "got {} times, {} positions and {} velocities".format(*counts)
-            )
-        if counts[-1] != counts[0]:
-            words = f"thrust has {counts[-1]} rows for {counts[0]} samples"
-            raise InputError(f"{words}; give one each (`ThrustSeries.at` interpolates)")
+        if len(set(counts)) != 1:
+            words = ", ".join(f"{n} of {name}" for n, name in zip(counts, names, strict=True))
+            raise InputError(f"a flight has one row per sample in every array; got {words}")
         if self.samples < MINIMUM_SAMPLES:
             raise InputError(f"a flight needs at least {MINIMUM_SAMPLES} samples; got {counts[0]}")
-        self._check_clock()
+        falls = np.flatnonzero(np.diff(self.time) <= 0)
+        if len(falls):
+            before, after = self.time[falls[0]], self.time[falls[0] + 1]
+            raise InputError(
+                f"time {'runs backwards' if after < before else 'stands still'}: row {falls[0] + 1}"
+                f" (t={after}) follows t={before}; sort or drop rows, or split the log where "
+                "another begins"
+            )
+        step = self.duration / (self.samples - 1)
+        if step < SMALLEST_STEP:
+            raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")
         if not self.velocity_measured:
             rate = np.gradient(self.position, self.time, axis=0)
             object.__setattr__(self, "velocity", frozen("velocity", rate, ("m", 2)))
@@ -104,21 +105,7 @@ class Flight(Brief):
         if max(laws) < 1.0 / LARGEST or max(map(abs, (*laws, *others))) > LARGEST:
             raise InputError(f"{self.vehicle!r} is no vehicle that flies; change the units")
         one_of("frame", self.frame, FRAMES)
-        object.__setattr__(self, "flow", as_flow(self.flow))
-
-    def _check_clock(self) -> None:
-        """Refuse times that do not increase, or samples that are no time apart."""
-        falls = np.flatnonzero(np.diff(self.time) <= 0)
-        if len(falls):
-            row = int(falls[0]) + 1
-            rows = f"row {row} (t={self.time[row]}) follows t={self.time[row - 1]}"
-            if self.time[row] < self.time[row - 1]:
-                remedy = "sort or drop rows, or split the log where another begins"
-                raise InputError(f"time runs backwards: {rows}; {remedy}")
-            raise InputError(f"time must increase strictly: {rows}; sort or drop repeated samples")
-        step = self.duration / (self.samples - 1)
-        if step < SMALLEST_STEP:
-            raise InputError(f"samples {step:.3g} s apart are no flight; give time in seconds")
+        check_flow(self.flow)
 
     def rows(self, chosen: BoolArray) -> Flight:
         """Return the samples (m,) that are chosen, as a flight.
@@ -144,14 +131,6 @@ class Flight(Brief):
     def extent(self) -> float:
         """The larger side of the flight's bounding box [m]."""
         return float(np.ptp(self.position, axis=0).max())
-
-
-def level_of(name: str, value: object, unit: str) -> float:
-    """Return a level of noise, or raise `InputError` unless it is one that a flight may have."""
-    level = non_negative(name, value, unit)
-    if level > LARGEST:
-        raise InputError(f"{name} is {level:g} {unit}: no flight has as much; lower it")
-    return level
 
 
 def streams(seed: np.random.SeedSequence, count: int) -> Iterator[np.random.Generator]:

@@ -20,8 +20,6 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, frozen
 from sparsefit.errors import InputError, finite, is_real, non_negative, pair, positive, store
 
-MOST_SAMPLES = 5_000_000  # of a flight that is read from a file or simulated: some 5 GB to estimate
-
 
 @dataclass(frozen=True)
 class PointMassVehicle:
@@ -75,20 +73,6 @@ class PointMassVehicle:
             return constant
         return constant + self.thrust_scale * np.asarray(measured, np.float64)
 
-    def acceleration(
-        self, velocity: ArrayLike, flow_velocity: ArrayLike, thrust: ArrayLike | None = None
-    ) -> Array:
-        """Return v' [m/s^2], shape (..., 2), from v and w [m/s], shape (..., 2) (Eq. 12).
-
-        thrust: m [m/s^2], (..., 2), where it was measured.
-        """
-        relative = np.asarray(flow_velocity, np.float64) - np.asarray(velocity, np.float64)
-        force: Array = relative / self.response_time
-        if self.drag:
-            speed = np.hypot(relative[..., :1], relative[..., 1:])
-            force = force + self.drag * speed * relative
-        return force + self.thrust(thrust)
-
     def flow_velocity(
         self, velocity: ArrayLike, acceleration: ArrayLike, thrust: ArrayLike | None = None
     ) -> Array:
@@ -130,12 +114,10 @@ class ThrustSeries:
 
     def __post_init__(self) -> None:
         """Check both and freeze them."""
-        time = frozen("time of the thrust", self.time, ("m",))
-        if len(time) < 2 or not (np.diff(time) > 0).all():
+        store(self, frozen, ("m",), "time")
+        if len(self.time) < 2 or not (np.diff(self.time) > 0).all():
             raise InputError("the thrust needs two times or more, increasing strictly")
-        rows = frozen("acceleration of the thrust", self.acceleration, (len(time), 2))
-        object.__setattr__(self, "time", time)
-        object.__setattr__(self, "acceleration", rows)
+        store(self, frozen, (len(self.time), 2), "acceleration")
 
     def at(self, time: object) -> Array:
         """The acceleration [m/s^2] at times (m,) [s], (m, 2).
@@ -151,9 +133,7 @@ class ThrustSeries:
                 f"the thrust is known from {first:g} to {last:g} s, the flight is from "
                 f"{sought.min():g} to {sought.max():g} s: log it for all of the flight"
             )
-        return np.stack(
-            [np.interp(sought, self.time, axis) for axis in self.acceleration.T], axis=1
-        )
+        return np.column_stack([np.interp(sought, self.time, axis) for axis in self.acceleration.T])
 
     def pointwise(self) -> Callable[[float], tuple[float, float]]:
         """The acceleration at one time on plain floats; the ends hold beyond them."""
@@ -180,13 +160,9 @@ def turning(
     """A constant thrust (x, y) and one beside it that turns counter-clockwise, both [m/s^2].
 
     Sampled at ``sample_rate`` [Hz] over ``duration`` [s], and one sample more; it points to
-    ``phase`` [rad] at the start, and again after every ``period`` [s].
+    ``phase`` [rad] at the start, and again after every ``period`` [s], > 0.
     """
-    positive("period of the thrust", period, "s")
-    if not 0 < duration * sample_rate <= MOST_SAMPLES:
-        words = f"{duration:g} s at {sample_rate:g} Hz"
-        raise InputError(f"{words} is no flight; keep it below {MOST_SAMPLES} samples")
     time = np.arange(round(duration * sample_rate) + 2) / sample_rate
     turned = 2.0 * np.pi * time / period + phase
     circle = np.stack([np.cos(turned), np.sin(turned)], axis=1)
-    return ThrustSeries(time, np.array(constant) + finite("thrust", size, "m/s^2") * circle)
+    return ThrustSeries(time, np.array(constant) + size * circle)

@@ -24,7 +24,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,39 +48,28 @@ class FlowField(Protocol):
         ...
 
 
+def check_flow(flow: object) -> None:
+    """Raise `InputError` unless it is a flow, or None."""
+    if flow is not None and not callable(getattr(flow, "velocity", None)):
+        raise InputError(
+            "flow must be one of CellularFlow, ShapedCells, WaveFlow, Turbulence, SuperposedFlow, "
+            f"None, or an object with velocity(x, y, t); got {flow!r}"
+        )
+
+
 class Flow:
-    """Base of the flows of this package: waves of a stream function, and the cells among them.
+    """Base of the flows of this package: waves of a stream function, and the cells among them."""
 
-    A subclass defines `waves`, or its own `formula`.
-    """
-
-    if TYPE_CHECKING:  # fields of some subclasses, properties of others
-
-        @property
-        def mean_velocity(self) -> float:
-            """U0 = sqrt(2 <|w|^2>) [m/s]."""
-
-        @property
-        def length_scale(self) -> float:
-            """L [m], of square cells: of others the length of as many waves a metre."""
-
-        @property
-        def waves(self) -> WaveFlow:
-            """The waves of the stream function."""
+    mean_velocity: float
+    """U0 = sqrt(2 <|w|^2>) [m/s]."""
 
     cells: tuple[Any, ...] = ()
     """The parts of the flow that an estimator seeks."""
 
     @property
-    def timescale(self) -> float:
-        """The turnover time, length_scale / mean_velocity [s]; infinite in a flow of no speed."""
-        speed = self.mean_velocity
-        return self.length_scale / speed if speed else math.inf
-
-    @property
     def period(self) -> float:
         """The side [m] of the square from which the start of a flight is drawn."""
-        return self.waves.period
+        raise NotImplementedError
 
     def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
         """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s].
@@ -96,7 +85,7 @@ class Flow:
         Args:
             functions: where it has its sines from: `math` for floats, `numpy` for arrays.
         """
-        return self.waves.formula(functions)
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +120,7 @@ class WaveFlow(Flow):
             raise InputError("WaveFlow needs at least one wave, and no wavevector may be (0, 0)")
 
     @property
-    def waves(self) -> WaveFlow:
-        """The flow itself."""
-        return self
-
-    @property
-    def mean_velocity(self) -> float:
+    def mean_velocity(self) -> float:  # type: ignore[override]
         """U0 = sqrt(2 <|w|^2>) [m/s] of waves with different wavevectors."""
         squares = np.sum(self.wavevectors**2, axis=1) * (self.cosine**2 + self.sine**2)
         return math.sqrt(float(np.sum(squares)))
@@ -215,7 +199,7 @@ class Turbulence(Flow):
             raise InputError(f"seed must be an integer, 0 or above; got {self.seed!r}")
 
     @property
-    def mean_velocity(self) -> float:
+    def mean_velocity(self) -> float:  # type: ignore[override]
         """U0 = sqrt(2 <|w|^2>) [m/s]: twice the intensity."""
         return 2.0 * self.intensity
 
@@ -249,3 +233,7 @@ class Turbulence(Flow):
             amplitudes * np.sin(phases),
             rates * (math.sqrt(math.pi / 2.0) / self.memory if self.memory else 0.0),
         )
+
+    def formula(self, functions: Any) -> Formula:
+        """Return the sum of the waves, as of `Flow`."""
+        return self.waves.formula(functions)

@@ -76,9 +76,8 @@ def read_table(path: str | os.PathLike[str], layout: Layout | None = None) -> Fl
         MissingExtra: as of `read_flight`.
     """
     path, layout = Path(path), layout or Layout()
-    decode = _format(path, FORMATS).decode
     with regular_file(path, most=LARGEST) as file, told_with(path):
-        table: FlightTable = decode(file, layout)
+        table: FlightTable = _format(path, FORMATS).decode(file, layout)
     if layout.epoch is None or table.epoch is None:
         return table
     time = table.columns["time"] + (table.epoch - layout.epoch).total_seconds()

@@ -19,10 +19,10 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.codec import Place, build, finite_or_none, mapping, shown
 from sparsefit.errors import InputError, one_of, suggestion, told_with, unknown
-from sparsefit.flight.flow import CellularFlow, Flow, ShapedCells, SuperposedFlow
+from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.record import FRAMES, Flight
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.flight.waves import Turbulence, WaveFlow
+from sparsefit.flight.waves import Flow, Turbulence, WaveFlow
 
 POSITIONS = ("time", "x", "y")  # s, m, m: all that some logs hold
 VELOCITY = ("vx", "vy")  # m/s
@@ -76,7 +76,8 @@ class FlightTable:
         given = dict(zip(VEHICLE, (tau, ax, ay, quadratic, scale), strict=True))
         always = ("thrust_ax", "thrust_ay")
         settings = {key: v for key, v in given.items() if key in always or v != VEHICLE[key]}
-        return cls(columns, settings, flight.flow, flight.frame)
+        flow = flight.flow if isinstance(flight.flow, Flow) else None
+        return cls(columns, settings, flow, flight.frame)
 
     def flight(self, vehicle: PointMassVehicle | None = None) -> Flight:
         """Return the flight; a ``vehicle`` given here replaces the one in the settings.

@@ -31,10 +31,10 @@ from sparsefit.codec import Place, number, only
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
-from sparsefit.flight.flow import Cells, CellularFlow, Flow, ShapedCells, SuperposedFlow
+from sparsefit.flight.flow import Cells, CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.record import MINIMUM_SAMPLES, MOST_SAMPLES
 from sparsefit.flight.vehicle import PointMassVehicle, turning
-from sparsefit.flight.waves import Turbulence
+from sparsefit.flight.waves import Flow, Turbulence
 from sparsefit.logs import read_flight
 from sparsefit.logs.files import LARGEST
 from sparsefit.study.keys import LogRules

@@ -142,7 +142,8 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
         return {}
     # psi = U0/(2k) [cos k(x - y) - cos k(x + y)]
     speed, scale = flow.mean_velocity, flow.length_scale
-    k, height = flow.wavenumber, 0.5 * speed / flow.wavenumber
+    k = math.pi / scale
+    height = 0.5 * speed / k
     waves, cosine = k * np.array([[1.0, 1.0], [1.0, -1.0]]), height * np.array([-1.0, 1.0])
     pattern, models = StreamPattern.of_waves("axis", waves, cosine, np.zeros(2)), []
     for flown in fleet:

@@ -107,13 +107,13 @@ def test_kicks_keep_their_power_where_times_jitter():
         ({"jumps": 1.5}, "jumps must be an integer"),
         ({"gaps": -1}, "gaps must be an integer"),
         ({"gap_duration": -1.0}, "gap_duration must be"),
-        ({"lost_samples": 1.0}, "lost_samples is a share"),
+        ({"lost_samples": 1.5}, "lost_samples is a share"),
     ],
 )
 def test_bad_faults_are_named(changes, message):
     with pytest.raises(InputError, match=message):
         LogFaults(**changes)
-    with pytest.raises(InputError, match="make them fewer or shorter"):
+    with pytest.raises(InputError, match="at least 3 samples"):
         LogFaults(gaps=2000, gap_duration=200.0).spoil(LINE, SEED)
     with pytest.raises(InputError, match="time_jitter is a share"):
         simulate_flight(None, VEHICLE, duration=1.0, sample_rate=10.0, seed=0, time_jitter=0.5)

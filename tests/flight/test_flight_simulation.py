@@ -115,8 +115,8 @@ def test_process_noise_is_the_spread_of_the_mean_derivative(substeps):
         ({"duration": 0.0}, r"duration must be a finite number above 0 \[s\]"),
         ({"duration": math.inf}, "duration"),
         ({"sample_rate": -1.0}, "sample_rate"),
-        ({"duration": 0.01}, "gives 2 samples, a flight needs 3: fly longer or sample faster"),
-        ({"duration": 1e12}, "keep it below 5000000"),
+        ({"duration": 0.01}, "is 1; a flight has 3 to 5000000 samples"),
+        ({"duration": 1e12}, "is 1e\\+14; a flight has 3 to"),
         ({"seed": -1}, "seed must be an integer"),
         ({"seed": None}, "seed must be an integer"),
         ({"seed": 1.5}, "seed must be an integer"),
@@ -129,8 +129,6 @@ def test_process_noise_is_the_spread_of_the_mean_derivative(substeps):
         ({"initial_velocity": (1.0, math.inf)}, r"initial_velocity\[1\]"),
         ({"flow": "cellular"}, "flow must be"),
         ({"vehicle": 0.5}, "vehicle must be"),
-        ({"sample_rate": 2e9, "duration": 1e-3}, "is 2e\\+09 Hz; keep it below 1e\\+09 Hz"),
-        ({"velocity_noise": 1e308}, "velocity_noise is 1e\\+308 m/s: no flight has as much"),
     ],
 )
 def test_bad_arguments_are_named_before_anything_is_flown(changes, message, monkeypatch):
@@ -189,21 +187,16 @@ def test_a_flight_goes_on_where_ctrl_c_is_ignored_or_only_noted(pressed_at):
     assert noted == [signal.SIGINT]
 
 
-def test_steps_out_of_all_places_are_tried_again():
-    flight = fly(vehicle=PointMassVehicle(math.inf, (5.0, 3.0), drag=1e9), duration=0.03)
-    air = FLOW.velocity(*flight.position[1:].T)
-    np.testing.assert_allclose(flight.velocity[1:], air, atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    "vehicle", [PointMassVehicle(1e-7), PointMassVehicle(math.inf, (5.0, 3.0), drag=1e9)]
-)
-def test_a_vehicle_that_follows_the_flow_at_once_is_flown_implicitly(vehicle):
-    flight = fly(vehicle=vehicle, duration=0.2, process_noise=0.1)
+def test_a_vehicle_that_follows_the_flow_fast_is_flown():
+    flight = fly(vehicle=PointMassVehicle(2e-5), duration=0.2)  # 500 response times a sample
     air = FLOW.velocity(*flight.position[1:].T)
     np.testing.assert_allclose(flight.velocity[1:], air, atol=5e-3)
-    path = flight.position[:-1] + (flight.velocity[:-1] + flight.velocity[1:]) / 200.0
-    np.testing.assert_allclose(flight.position[2:], path[1:], atol=1e-3)
+
+
+@pytest.mark.parametrize("vehicle", [PointMassVehicle(1e-9), PointMassVehicle(math.inf, drag=1e12)])
+def test_a_vehicle_that_follows_the_flow_at_once_is_refused(vehicle):
+    with pytest.raises(InputError, match="too stiff or too fast; raise response_time"):
+        fly(vehicle=vehicle)
 
 
 @pytest.mark.parametrize("flow", [CellularFlow(1e6, 1.0), CellularFlow(1.0, 1e-9)])
@@ -221,4 +214,4 @@ def test_anything_with_a_velocity_can_be_flown():
     flight = fly(own, PointMassVehicle(0.5), initial_position=(1.0, 0.0))
     speed = math.sin(1.0) * (1 - np.exp(-flight.time / 0.5))
     np.testing.assert_allclose(flight.velocity[:, 1], speed, atol=1e-11)
-    assert flight.flow.cells == ()
+    assert flight.flow is own

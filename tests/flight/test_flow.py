@@ -46,7 +46,7 @@ def psi(waves, x, y, t):
 @pytest.mark.parametrize("name", KINDS)
 def test_velocity_is_the_turned_gradient_of_the_stream_function(name):
     flow, (x, y), t, h = KINDS[name], PLACES, 1.7, 1e-5
-    waves = flow.waves
+    waves = getattr(flow, "waves", flow)
     level = 1.0 + flow.swell * math.sin(2 * math.pi * t / 7.0) if name == "moving" else 1.0
     u = level * (psi(waves, x, y + h, t) - psi(waves, x, y - h, t)) / (2 * h)
     v = -level * (psi(waves, x + h, y, t) - psi(waves, x - h, y, t)) / (2 * h)
@@ -127,6 +127,9 @@ def test_sums_name_their_cells():
     assert both.period == 8.0
     assert both.mean_velocity == pytest.approx(math.hypot(6.0, 6.0, 3.0))
     assert SuperposedFlow((gusts,)).period == gusts.period
+    nested = SuperposedFlow((SuperposedFlow((PLAIN, gusts)), turned))
+    assert nested.cells == both.cells
+    np.testing.assert_allclose(nested.velocity(X, Y, 1.0), both.velocity(X, Y, 1.0), atol=1e-13)
 
 
 def test_flights_through_a_drifting_pattern_are_flights_in_its_frame():
@@ -151,7 +154,7 @@ def test_each_sample_of_a_flight_follows_from_the_last_by_the_slow_reference(nam
     states = np.hstack([flight.position, flight.velocity])
 
     def slow(t, s):
-        return np.hstack([s[2:], vehicle.acceleration(s[2:], flow.velocity(s[0], s[1], t))])
+        return np.hstack([s[2:], (flow.velocity(*s[:2], t) - s[2:]) / 0.5 + [5.0, 3.0]])
 
     for row in range(0, 100, 20):
         span = flight.time[[row, row + 1]]
@@ -167,7 +170,6 @@ BAD = (0.0, -1.0, math.nan, math.inf, "3", None, True)
     [
         (ShapedCells, {"length_scales": (4.0, 0.0)}, "length_scales must be a finite number above"),
         (ShapedCells, {"length_scales": "wide"}, "length_scales must be two numbers"),
-        (ShapedCells, {"length_scales": (1e-7, 1.0)}, "differ by more than 1e6 times"),
         (ShapedCells, {"angle": math.pi}, "angle must lie between 0 and pi"),
         (ShapedCells, {"heading": math.nan}, "heading must be a finite number"),
         (ShapedCells, {"drift": 1.0}, "drift must be two numbers"),
@@ -184,8 +186,8 @@ BAD = (0.0, -1.0, math.nan, math.inf, "3", None, True)
         (Turbulence, {"spectrum": "dreyden"}, 'did you mean "dryden"'),
         (Turbulence, {"seed": -1}, "seed must be an integer"),
         (SuperposedFlow, {"wind": (1.0,)}, r"wind must be two numbers"),
-        *((SuperposedFlow, {"components": bad}, "components must be a tuple of at least one")
-          for bad in ((), PLAIN, (PLAIN, 3.0), None, (TWO,))),
+        *((SuperposedFlow, {"components": bad}, "components must be a tuple of flows")
+          for bad in ((), PLAIN, (PLAIN, 3.0), None)),
         *((CellularFlow, {"mean_velocity": bad}, r"mean_velocity .* \[m/s\]") for bad in BAD),
         *((CellularFlow, {"length_scale": bad}, r"length_scale .* \[m\]") for bad in BAD),
     ],

@@ -130,7 +130,7 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no column time, x, y, vx, vy; found nothing"),
+        ("\n", "no column time, x, y, vx, vy; found nothing"),
         ("# response_time=0.5\n", "found nothing"),
         ("# response_time=1\ntime,x,y,vx\n0,1,2,3\n", "no column vy; found time, x, y, vx"),
         ("t,x,y,vx,vy\n" + ROWS, "no column time; found t, .*; rename or add it"),
@@ -245,6 +245,7 @@ for path in {[str(long), str(ends), str(packed)]}:
 @pytest.mark.parametrize("name", ["a.text", "a", "a.csvv", "a.csv.gz"])
 def test_unknown_file_type(tmp_path, name):
     known = r"\(known: \.csv, \.parquet, \.txt, .*\.igc\)"
+    (tmp_path / name).write_text("junk")
     with pytest.raises(InputError, match=f"unknown file type .*{known}"):
         read_flight(tmp_path / name)
     for unwritten in (name, "a.ulg"):
@@ -266,8 +267,12 @@ def test_files_that_are_none(tmp_path):
         with pytest.raises(InputError, match=r"cannot read .*No such file.*check the path"):
             read_flight(tmp_path / name)
     (tmp_path / "a.csv").mkdir()
-    with pytest.raises(InputError, match=r"cannot read"):
-        read_flight(tmp_path / "a.csv")
+    for folder in (tmp_path, tmp_path / "a.csv"):
+        with pytest.raises(InputError, match="it is a folder; give a file in it"):
+            read_flight(folder)
+    (tmp_path / "b.csv").touch()
+    with pytest.raises(InputError, match="it is empty; give another, or write it again"):
+        read_flight(tmp_path / "b.csv")
 
 
 def test_writing_refuses_to_overwrite_unless_told(tmp_path):

@@ -91,7 +91,7 @@ FINE = [(i, i, 0, 0, 0, True, True) for i in range(5)]
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"", "not a ULog of PX4"),
+        (b"u", "not a ULog of PX4"),
         (b"junk" * 99, "not a ULog of PX4"),
         (STANDING.read_bytes(), "no valid local position in any of 636 samples"),
         (ulog({"vehicle_attitude": (LANDED, [(1, True)])}), "position is not in the log"),
@@ -101,7 +101,7 @@ FINE = [(i, i, 0, 0, 0, True, True) for i in range(5)]
         (local(FINE[1::-1]), "at least 3 samples"),
         (local(FINE, vehicle_land_detected=(LANDED, [(1, True)])), "on the ground throughout"),
         (local(FINE[::-1]), "time runs backwards: row 1"),
-        ("", "none of 0 fixes"),
+        ("\n", "none of 0 fixes"),
         ("time,x,y\n1,2,3\n", "none of 0 fixes|not an IGC"),
         (RECORDING.replace("HFDTE010624\r\n", ""), "no date"),
         (RECORDING.replace("A00500", "V00500"), "none of 120 fixes is valid"),
@@ -146,7 +146,7 @@ def test_two_recordings_share_a_plane_and_a_clock(tmp_path):
 def test_absent_packages_are_named_with_the_extra(tmp_path, monkeypatch, name, package):
     for module in (package, "aerofiles.igc"):
         monkeypatch.setitem(sys.modules, module, None)
-    path = write(tmp_path, name, b"")
+    path = write(tmp_path, name, b"u")
     with pytest.raises(MissingExtra, match=rf"{package}: pip install 'sparsefit\[logs\]'"):
         sf.read_flight(path, vehicle=VEHICLE)
     with pytest.raises(InputError, match="tells its own columns"):

@@ -168,7 +168,7 @@ def test_unknown_readouts_are_refused(key):
 
 def test_candidates_are_a_flow_anywhere():
     flow = sf.CellularFlow(15.43, 4.21)
-    k, weights = np.array([flow.wavenumber]), exact_weights(15.43)
+    k, weights = np.array([math.pi / flow.length_scale]), exact_weights(15.43)
     own = CandidateFlow(k, weights[None], np.array([4.21, 8.42]) * 2)
     x, y = np.random.default_rng(1).uniform(-9, 9, (2, 8, 5))
     np.testing.assert_allclose(own.velocity(x, y), flow.velocity(x, y), atol=1e-12)
