@@ -254,7 +254,7 @@ def test_estimator_file_is_used(capsys, flight):
         (("--unknown", "wind", "thrust_acceleration"), "cannot both be unknown"),
         (("--estimator", "missing.json"), "cannot read missing.json"),
         (("--estimator", "flight.csv"), "not an estimator"),
-        (("folder",), "cannot read folder: it is a folder; give a file in it"),
+        ((".",), "cannot read .: it is a folder; give a file in it"),
         (("--plot", "/dev/null"), "cannot write /dev/null: it is no regular file"),
     ],
 )
