@@ -6,9 +6,10 @@ J. R. Stat. Soc. B 71, 319), the prior flat in its square root: a forward pass a
 gives its likelihood, and how far and how surely the parameters would move there.
 
 A disturbance that wanders in time stands for turbulence, which is a field in space and has other
-strengths at other wavevectors than the flight's own time tells. Waves beside those of the flow say
-which: each of amplitude 0 has a score that is chi^2 where the model holds. Their mean excess is
-how much more of the flow's own waves may be turbulence than the model gives.
+strengths at other wavevectors than the flight's own time tells. Waves around those of the flow, as
+near as the flight's extent tells them apart, say which: each of amplitude 0 has a score that is
+chi^2 where the model holds. Their mean excess is how much more of the flow's own waves may be
+turbulence than the model gives: a sandwich covariance, its middle read at neighbouring wavevectors.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ COARSE = 200  # rows of a log that the first passes see
 ANNEAL = 1.0  # process noise that the search starts from, in |w|/tau per sqrt(|k| |w|)
 EXACT = 1e-6  # of the flow's length and velocity: noise below it counts as none
 NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
-NEIGHBOURS = 30  # waves beside those of the flow
+NEIGHBOURS = 30  # waves around those of the flow
+NEAREST, FURTHEST = 2.5, 5.0  # of these, in 2 pi over the extent of the flight
 NOTHING = 0.1  # degrees of freedom of a level: the parameters feel no less of it
 FEWEST = 16  # innovations of a channel that are tested
 FAR = 64.0  # degrees of freedom: where process noise is looked for above none
@@ -226,22 +228,19 @@ class Posterior:
 
     @cached_property
     def inflation(self) -> float:
-        """The mean score of neighbouring waves where something wanders, 1 or more."""
+        """The mean score of waves around those of the flow where something wanders, 1 or more."""
         pattern = self.model.pattern
         if not self.model.disturbance.processes:
             return 1.0
-        waves, silent = pattern.waves[:, :2], np.zeros((0, 2))
+        waves, size = pattern.waves[:, :2], np.hypot(*pattern.waves[:, :2].T).mean()
         box = np.ptp(np.concatenate([leg.track[:, :2] for leg in self.legs]), axis=0)
-        cell, random = 2.0 * math.pi / box, np.random.default_rng(0)
-        for _ in range(100 * NEIGHBOURS):  # half to twice as long, apart from each other
-            angle = random.uniform(0.0, math.pi)
-            size = np.hypot(*waves.T).mean() * 2.0 ** random.uniform(-1.0, 1.0)
-            wave = size * np.array([math.cos(angle), math.sin(angle)])
-            near = np.concatenate([waves, -waves, silent, -silent])
-            if (np.hypot(*((wave - near) / cell).T) > 2.0).all():
-                silent = np.concatenate([silent, wave[None]])
-            if len(silent) == NEIGHBOURS:
-                break
+        cell = np.minimum(2.0 * math.pi / box, size)  # the resolution of wavevectors
+        turns = math.pi * (3.0 - math.sqrt(5.0)) * np.arange(NEIGHBOURS // len(waves))
+        radii = np.sqrt(np.linspace(NEAREST**2, FURTHEST**2, len(turns)))[:, None]
+        spiral = cell * radii * np.column_stack([np.cos(turns), np.sin(turns)])
+        silent = (waves[:, None] + spiral).reshape(-1, 2)
+        apart = (silent[:, None] - np.concatenate([waves, -waves])) / cell
+        silent = silent[(np.linalg.norm(apart, axis=2) > 2.0).all(axis=1)]
         if not len(silent):
             return 1.0
         more = replace(pattern, silent=tuple(map(tuple, silent.tolist())))

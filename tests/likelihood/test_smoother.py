@@ -326,23 +326,30 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
         assert abs(posterior.value("mean_velocity") - 9.0) < 4.0 * posterior.error("mean_velocity")
 
 
-def test_waves_beside_those_of_the_flow_widen_what_only_wanders_in_time():
-    log, states = flown(15, count=600)
-    x, y = states[:, :2].T
-    waves = np.array([[0.6, 0.9], [-0.9, 0.5], [1.1, 0.1], [0.2, -1.2], [0.8, -0.7]])
-    field = sum(0.1 * np.cos(k @ np.array([x, y]) + j) for j, k in enumerate(waves))[:, None]
-    turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
-    model = Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,)))
-    rng, step, gust, answer = np.random.default_rng(1), 0.04, np.zeros((600, 2)), np.zeros((600, 2))
-    fade = np.exp(-2.0 * step)
-    for i in range(1, 600):
-        gust[i] = fade * gust[i - 1] + 0.2 * np.sqrt(1 - fade**2) * rng.normal(size=2)
-        answer[i] = answer[i - 1] + step / TAU * (gust[i - 1] - answer[i - 1])
-    places = step * np.cumsum(answer, axis=0)
-    scores = []
-    for speed, place in ((field, 0.0 * places), (answer, places)):
-        faulty = FlightLog(log.time, log.position + place, log.velocity + speed, THRUST)
-        scores.append(measure(faulty, model, (*LEVELS, "turbulence")).inflation)
-    assert scores[0] > 1.6
-    assert 1.0 < scores[1] < 1.6  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
+def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
+    """Gusts that are a field in space, about as long as the cells, and gusts in time alone."""
+    rng, fade, motion = np.random.default_rng(15), np.exp(-0.08), motion_of(TRUE)
+    size, angle = rng.uniform(0.8, 1.4, 40), rng.uniform(0.0, np.pi, 40)
+    waves = size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    along, phases = waves[:, ::-1] * [0.05, -0.05], rng.uniform(0.0, 2.0 * np.pi, 40)
+    walk = np.zeros((601, 2))
+    for i in range(600):
+        walk[i + 1] = fade * walk[i] + 0.2 * np.sqrt(1 - fade**2) * rng.normal(size=2)
+    inflations = []
+    for in_space in (True, False):
+        states = np.tile([0.3, -0.8, 2.0, 1.0], (2401, 1))
+        for i in range(2400):  # Heun's steps of 0.01 s
+            slopes = []
+            for time in (0.01 * i, 0.01 * (i + 1)):
+                there = states[i] + 0.01 * sum(slopes)
+                gust = np.cos(waves @ there[:2] + phases) @ along if in_space else walk[i // 4]
+                slopes.append(motion(time, there) + np.append([0.0, 0.0], gust / TAU))
+            states[i + 1] = states[i] + 0.005 * sum(slopes)
+        readings = states[:2400:4] + rng.normal(size=(600, 4)) * [0.05, 0.05, 0.2, 0.2]
+        log = FlightLog(0.04 * np.arange(600), readings[:, :2], readings[:, 2:], THRUST)
+        turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
+        model = Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,)))
+        inflations.append(measure(log, model, (*LEVELS, "turbulence")).inflation)
+    assert inflations[0] > 1.8
+    assert inflations[1] < 1.5  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
     assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
