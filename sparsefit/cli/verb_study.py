@@ -58,7 +58,7 @@ COMPARED = (
              name.upper()) for name in ("first", "second")),
     RESULTS,
     Option("--tolerance", "a number that changed by less is the same; default: 1e-6 of itself",
-           "SHARE", float, {"default": 1e-6}),
+           "SHARE", float),
 )  # fmt: skip
 PARTS = Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"})
 SECTION = Option("section", "flights, library, run, select ...; default: all of them", "SECTION",
@@ -295,8 +295,8 @@ def compare(args: argparse.Namespace) -> Reply:
             return read_cases(name)
         return Study.from_file(name, results=args.results).cases
 
-    tolerance = non_negative("--tolerance", args.tolerance)
-    names = (args.first, args.second)
+    limit = comparing.TOLERANCE if args.tolerance is None else args.tolerance
+    tolerance, names = non_negative("--tolerance", limit), (args.first, args.second)
     first, second = map(cases, names)
     both = comparing.compare(first, second, names, tolerance)
     tables = (table for table in both.tables.values() if len(table.frame))

@@ -1,4 +1,4 @@
-"""Pictures of a flow, an estimate and a path of weights."""
+"""Pictures of a flow and of an estimate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.flight import Flight
 from sparsefit.flight.waves import FlowField
-from sparsefit.plot.style import COLOURS, GREY, STYLES, labels, legend, logarithmic, panels, styled
+from sparsefit.plot.style import COLOURS, GREY, labels, logarithmic, panels, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
     from sparsefit.estimator import Estimate, Estimator
     from sparsefit.rows import Samples
+
+OPAQUE: dict[str, Any] = {"frameon": True, "framealpha": 0.8, "edgecolor": "none"}  # over lines
 
 
 def vorticity(
@@ -136,7 +138,9 @@ def _quantity(value: float, spread: float) -> str:
         return "–"
     if not 0 < spread < math.inf:
         return f"{value:.4g}"
-    places = max(0, min(1 - math.floor(math.log10(spread)), 6))
+    places = max(0, 1 - math.floor(math.log10(spread)))
+    if places > 9:
+        return f"{value:.9g} ± {spread:.1e}"
     return f"{value:.{places}f} ± {spread:.{places}f}"
 
 
@@ -165,7 +169,7 @@ def draw_weights(axes: Axes, estimate: Estimate, truth: Sequence[float]) -> None
     axes.set_ylabel("weight")
     axes.set_xlabel(f"length scale [{unit}]")
     if axes.get_legend_handles_labels()[1]:
-        axes.legend(loc="best")
+        axes.legend(loc="best", **OPAQUE)
 
 
 def along_track(
@@ -198,7 +202,7 @@ def draw_residual(
 ) -> None:
     """Draw in time the velocity of the air, less that of a flow where there is one."""
     words = "velocity of the air" if less is None else "residual"
-    axes.set_title(f"{words}{several}, {'no flow found' if less is None else 'less the flow'}")
+    axes.set_title(f"{words}{several}{', no flow found' * (less is None)}")
     scale, unit = axis_unit(float(np.abs(samples.time).max()), "s")
     residual, gaps = air if less is None else less, _gaps(samples.time)
     time, shown = np.insert(samples.time, gaps, np.nan), np.insert(residual, gaps, np.nan, axis=0)
@@ -232,7 +236,7 @@ def draw_spectrum(
     lowest = 1e-5 * float(whole.max())
     if less is not None:
         rest = spectrum(less[piece], step)[1]
-        lowest = max(1e-5 * float(rest.max()), lowest)
+        lowest = min(lowest, 0.1 * float(np.median(rest)))  # also where nothing but rounding is
         for place, name in enumerate("xy"):
             axes.loglog(frequency, rest[:, place], color=COLOURS[place], lw=0.8,
                         label=f"residual {name}")  # fmt: skip
@@ -245,7 +249,7 @@ def draw_spectrum(
     logarithmic(axes.yaxis, *axes.get_ylim())
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel("power [(m/s)²/Hz]")
-    axes.legend(loc="best")
+    axes.legend(loc="best", **OPAQUE)
 
 
 def spectrum(values: Array, step: float) -> tuple[Array, Array]:
@@ -262,34 +266,3 @@ def spectrum(values: Array, step: float) -> tuple[Array, Array]:
     width = max(2 * len(values) // 9, 32)  # eight segments
     frequency, power = welch(values, 1.0 / step, nperseg=width, axis=0)
     return np.asarray(frequency[1:]), np.asarray(power[1:])
-
-
-@styled
-def draw_path(alphas: Array, weights: Array, names: Sequence[str] = ()) -> Figure:
-    """Return the size of the weights along a path of penalties.
-
-    Args:
-        alphas: (p,) penalties, or shares of alpha_max; weights: (p, k) in scaled columns, or
-            (p, k, n), of which the norm over the targets is drawn.
-        names: of the k columns; their places where they are not given.
-    """
-    sizes = weights if weights.ndim == 2 else np.linalg.norm(weights, axis=2)
-    figure, ((axes,),) = panels(1, 1, height=4.0)
-    titles = list(names) or [f"column {place}" for place in range(sizes.shape[1])]
-    order = np.argsort(-np.abs(sizes).max(axis=0), kind="stable")
-    short = labels([titles[at] for at in order[:10]], 30)
-    for rank, at in enumerate(order[np.abs(sizes[:, order]).max(axis=0) > 0].tolist()):
-        named = rank < 10
-        axes.plot(
-            alphas, sizes[:, at], lw=1.2 if named else 0.5,
-            color=COLOURS[rank % len(COLOURS)] if named else GREY,
-            ls=STYLES[rank // len(COLOURS) % len(STYLES)] if named else "-",
-            label=short[titles[at]] if named else None, zorder=3 if named else 2,
-        )  # fmt: skip
-    axes.set_xscale("log")
-    axes.set_xlim(float(alphas.max()), float(alphas.min()))
-    logarithmic(axes.xaxis, float(alphas.min()), float(alphas.max()))
-    axes.set_xlabel("penalty, as a share of the smallest that gives zero")
-    axes.set_ylabel("weight in columns of unit rms")
-    legend(figure, [axes])
-    return figure

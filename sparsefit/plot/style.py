@@ -141,8 +141,8 @@ def legend(figure: Figure, every: Iterable[Axes]) -> None:
 
 
 def with_unit(words: str, unit: str) -> str:
-    """Return the words of an axis with their unit in brackets, where they have one."""
-    return f"{words} [{unit}]" if unit else words
+    """Return the words of an axis with their unit in brackets, on the line of the last word."""
+    return f"{words}\N{NO-BREAK SPACE}[{unit}]" if unit else words
 
 
 def labels(names: Sequence[str], length: int) -> dict[str, str]:

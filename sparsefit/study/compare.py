@@ -1,9 +1,9 @@
 """Two runs of a study held against each other: which cases changed, and whether for the worse.
 
-Cases are the same where their ids are, else where `flight` and `identity` are. Of flights a case
-changed where its status or a number of U0, L_w or tau_w did; of problems where its status did. A
-setting is judged by the mean error of tau_w, a solver by the mean logarithm of its time, each
-paired by unit.
+Cases are the same where their ids are, else where `flight` and `identity` are. A case changed where
+its status did, or a number: of flights U0, L_w and tau_w, of problems the held-out error. No time
+is like another: they are not compared. A setting is judged by the mean error of tau_w, or the mean
+held-out error, paired by unit.
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ from sparsefit.study.measures import factors, measure, numbers
 from sparsefit.study.resampling import by_unit, interval, pooled
 from sparsefit.study.table import Table, significant
 
+TOLERANCE = 1e-6  # of a number: what changed by less is the same
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """The cases that both runs have, row by row, and how many only one has.
 
-    sides: the cases of either run. cases: `change`, the largest relative change of U0, L_w and
-    tau_w, infinite where one run has no number, of problems that of the time on the wall;
-    `in status`, whether the status is another; `changed`, whether anything is that should not be;
-    `lost`, whether an answer is no more.
+    sides: the cases of either run. cases: `change`, the largest relative change of a number,
+    infinite where one run has none; `in status`, whether the status is another; `changed`, whether
+    anything is; `lost`, whether an answer is no more.
     """
 
     names: tuple[str, str]
@@ -47,7 +48,7 @@ class Comparison:
 
     @property
     def worse(self) -> bool:
-        """Whether a case lost its answer, or a setting or solver is worse beyond its interval."""
+        """Whether a case lost its answer, or a setting is worse beyond its interval."""
         verdicts = self.effects.frame["verdict"]
         return bool(self.cases["lost"].any()) or "worse" in set(verdicts)
 
@@ -64,7 +65,7 @@ class Comparison:
 
     @property
     def tables(self) -> dict[str, Table]:
-        """The table of settings, or solvers, and that of changed cases, the largest first."""
+        """The table of settings, and that of changed cases, the largest first."""
         first, second = self.sides
         label = "solver" if "objective" in first else "label"
         frame = pd.DataFrame({
@@ -79,36 +80,33 @@ class Comparison:
 
     @cached_property
     def effects(self) -> Table:
-        """A row per setting, or solver: what changed of it, and whether its measure did."""
+        """A row per setting: what changed of it, and whether its measure did."""
         first = self.sides[0]
         of_problems = "objective" in first
-        each = measure("mean wall" if of_problems else "mean timescale-error")
-        heads = ("objective", "solver") if of_problems else ("setting", "settings")
-        settings = ["backend", "protocol", "label", *factors(first), "settings"]
-        values = [np.log(numbers(side, "wall")) if of_problems else each.values(side)
-                  for side in self.sides]  # fmt: skip
-        words = "time, second / first" if of_problems else "mean |error| of τ_w, second − first [%]"
+        each = measure("mean holdout-error" if of_problems else "mean timescale-error")
+        names = ["protocol", "label", *factors(first)]
+        names = ["objective", "solver"] if of_problems else names
+        values = [each.values(side) for side in self.sides]
 
         def apart(grid: Array) -> Array:  # of (..., units, cases, 2), the second less the first
             return pooled(each.reduce)(grid[..., 1]) - pooled(each.reduce)(grid[..., 0])
 
         rows: list[dict[str, object]] = []
-        for key, places in grouped(first, list(heads) if of_problems else settings):
+        for key, places in grouped(first, ["backend", *names, "settings"]):
             here, units = self.cases.iloc[places], first["flight"].iloc[places]
             grid = np.stack([by_unit(value[places], units) for value in values], axis=-1)
             ends = np.array([apart(grid), *interval(apart, grid)])
             ends[np.abs(ends) < each.least] = 0.0
-            effect, low, high = np.exp(ends) if of_problems else ends
-            *setting, last = map(level_text, key if of_problems else key[1:])
             rows.append({
-                heads[0]: ", ".join(setting), heads[1]: last,
+                "setting": ", ".join(map(level_text, key[1:-1])), "settings": key[-1],
                 "verdict": "worse" if ends[1] > 0 else "better" if ends[2] < 0 else "tie",
                 "n": len(places), **here[["changed", "in status"]].sum(),
                 "largest change [%]": _largest(here),
-                f"{words}: effect": effect, "from": low, "to": high,
+                **dict(zip((f"{each.phrase}, second − first [{each.unit}]", "from", "to"), ends,
+                           strict=True)),
             })  # fmt: skip
         frame = pd.DataFrame(rows)
-        for _, texts in [] if of_problems else frame.groupby("setting", sort=False)["settings"]:
+        for _, texts in frame.groupby("setting", sort=False)["settings"]:
             every = [json.loads(text) for text in texts]
             differ = [key for key, value in every[0].items()
                       if any(own.get(key) != value for own in every)]  # fmt: skip
@@ -137,42 +135,35 @@ def _largest(cases: pd.DataFrame) -> float:
 
 
 def compare(
-    first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str], tolerance: float = 1e-9
+    first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str], tolerance: float = TOLERANCE
 ) -> Comparison:
     """Pair the cases of two runs; a number that moves by more than `tolerance` changed.
 
     Raises:
-        InputError: if they are of two kinds, of other paths, or have no case in common.
+        InputError: if they have no case in common.
     """
-    runs, both = (first, second), f"{names[0]} and {names[1]}"
-    of_problems = "objective" in first
-    if of_problems != ("objective" in second):
-        raise InputError(f"{both}: one holds flights, one problems: compare two runs of one study")
     for key in (["case_id"], ["flight", "identity"]):
-        if not all(set(key) <= set(cases) for cases in runs):
+        if not all(set(key) <= set(cases) for cases in (first, second)):
             continue
-        index = [pd.MultiIndex.from_frame(cases[key].astype(str)) for cases in runs]
+        index = [pd.MultiIndex.from_frame(cases[key].astype(str)) for cases in (first, second)]
         shared = index[0][index[0].isin(index[1])]
         if len(shared) and all(each.is_unique for each in index):
             break
     else:
+        both = f"{names[0]} and {names[1]}"
         raise InputError(f"{both} have no case in common: compare two runs of one study")
     sides = [cases.iloc[each.get_indexer(shared)].reset_index(drop=True)
-             for cases, each in zip(runs, index, strict=True)]  # fmt: skip
-    for name in ("points", "settings", "tolerance") if of_problems else ():
-        if all(name in side for side in sides) and not sides[0][name].equals(sides[1][name]):
-            raise InputError(f"{both} differ in {name}: their times are not of the same work; "
-                             "compare two runs of one study")  # fmt: skip
-    measured = ["wall"] if of_problems else [f"est_{name}" for name in PARAMETERS]
+             for cases, each in zip((first, second), index, strict=True)]  # fmt: skip
+    of_problems = "objective" in first
+    measured = ["holdout_error"] if of_problems else [f"est_{name}" for name in PARAMETERS]
     pair = np.array([[numbers(side, name) for name in measured] for side in sides])
-    size = pair[0] if of_problems else np.maximum(np.abs(pair).max(axis=0), 1e-300)
-    moved, gone = np.abs(pair[0] - pair[1]) / size, np.isnan(pair)
+    moved = np.abs(pair[0] - pair[1]) / np.maximum(np.abs(pair).max(axis=0), 1e-300)
+    gone = np.isnan(pair)
     moved[gone.any(axis=0)] = np.inf
     moved[gone.all(axis=0)] = 0.0
     before, after = (side["status"].to_numpy() for side in sides)
     cases = pd.DataFrame({"in status": before != after, "change": moved.max(axis=0)})
-    limit = np.inf if of_problems else tolerance  # no time is like another
-    cases["changed"] = cases["in status"] | (cases["change"] > limit)
+    cases["changed"] = cases["in status"] | (cases["change"] > tolerance)
     cases["lost"] = ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0)
     only = len(first) - len(shared), len(second) - len(shared)
     return Comparison(names, sides, cases, only)

@@ -168,7 +168,7 @@ def _kind_of(entry: Entry) -> str:
     """Return the kind of cases, `flights` or `problems`, of which alone an entry tells."""
     layouts = {
         **dict.fromkeys(("coverage", "parameters", "scatter"), "flights"),
-        **dict.fromkeys(("solvers", "winners", "failed", "profiles", "shapes"), "problems"),
+        **dict.fromkeys(("solvers", "failed", "profiles", "shapes"), "problems"),
     }
     kinds = [layouts.get(entry.compare, ""), *(each.kind for each in entry.measures)]
     return max(kinds)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,7 +21,7 @@ from sparsefit.plot.style import COLOURS, GREY, styled, with_unit, wrapped
 from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text
-from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers
+from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, in_words, measure, numbers
 from sparsefit.study.panels import LOG_RANGE, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
 from sparsefit.study.table import sentence
@@ -37,6 +36,7 @@ UNIT_OF = {
     **dict.fromkeys(("velocity_noise", "wind"), "m/s"),
     **dict.fromkeys(("position_noise", "turbulence_length", "lower", "upper", "step"), "m"),
     **{"sample_rate": "Hz", "measurement_noise": "m/s / m", "heading": "rad"},
+    "together": "flights",
     **UNITS,
 }
 
@@ -161,7 +161,7 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
             ends = low / 1.5, max(1.5 * high, 10.0 * low)
             if each.name == "ratio":  # from the fastest on
                 ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
-            elif finite.size and finite.max() <= LOG_RANGE * finite.min():
+            elif finite.size and (each.more or finite.max() <= LOG_RANGE * finite.min()):
                 room = 0.05 * float(np.ptp(finite)) or 0.1 * high
                 ends, log = (float(finite.min()) - room, float(finite.max()) + room), ""
             for name, at in _curves(entry, here, np.flatnonzero(~measures.in_still_air(here))):
@@ -292,16 +292,7 @@ def figures(
             words = ", ".join(each.words for each in entry.measures) or "an answer"
             every[name] = Picture(None, f"{name}: nothing to draw, no case has {words}.")
             continue
-        every_words = [
-            each.words if entry.compare == "ecdf" else
-            each.phrase + f", {each.convention}" * (each.miss is not None)
-            for each in entry.measures
-        ]  # fmt: skip
-        shown = "; ".join(dict.fromkeys(every_words))
-        alike = {re.sub(r"\b(U0|L_w|τ_w)\b", "{}", text) for text in every_words}
-        if len(every_words) > 1 and len(alike) == 1:  # of each parameter
-            symbols = [name for text in every_words for name in SYMBOLS.values() if name in text]
-            shown = alike.pop().format(f"{', '.join(symbols[:-1])} and {symbols[-1]}")
+        shown = in_words(entry.measures, of_cases=entry.compare == "ecdf")
         if entry.compare == "ecdf":
             shown = f"Share of planned cases, failures among them, with at most so much: {shown}"
         caption = " ".join(map(sentence, (entry.title or shown, *entry.notes)))

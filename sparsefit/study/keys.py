@@ -81,10 +81,8 @@ class Reference:
 
     name: str = key("What the tables call it.")
     flights: int | None = key("How many flights it is of.", None)
-    estimate: Three | None = key("U0, L_w, tau_w of one flight [m/s, m, s].", None)
     deviation: Three | None = key("Mean signed errors [m/s, m, s].", None)
     signed_error: Three | None = key("Mean signed errors.", None, unit="%")
-    note: str = key("Printed under the table.", "")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ left out, and the tables count it beside them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -20,6 +20,7 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import one_of, unknown
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.resampling import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
+from sparsefit.study.table import listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -121,8 +122,7 @@ class Measure:
     @property
     def phrase(self) -> str:
         """The summary in words, `median |error| of τ_w`."""
-        words = {"share": "share of", "number": "number of"}
-        return f"{words.get(self.summary, self.summary)} {self.words}"
+        return f"{'share of' if self.summary == 'share' else self.summary} {self.words}"
 
     @property
     def convention(self) -> str:
@@ -150,9 +150,22 @@ class Measure:
 
     def summary_of(self, values: Array) -> float:
         """Return the summary of the values (n,) of a group; NaN where none has the number."""
-        if self.summary != "number" and np.isnan(values).all():
-            return math.nan
-        return float(self.reduce(values))
+        return math.nan if np.isnan(values).all() else float(self.reduce(values))
+
+
+def in_words(every: Sequence[Measure], *, of_cases: bool = False) -> str:
+    """Return what measures are in words, those of U0, L_w and tau_w in one.
+
+    Args:
+        of_cases: whether they are those of single cases, and not summarised.
+    """
+    alike: dict[str, list[str]] = {}
+    for each in every:
+        words = f"{each.phrase}, {each.convention}" if each.miss is not None else each.phrase
+        words = each.words if of_cases else words
+        symbol = next((name for name in SYMBOLS.values() if name in words), "")
+        alike.setdefault(words.replace(symbol, "{}") if symbol else words, []).append(symbol)
+    return "; ".join(words.format(listed(symbols, "and")) for words, symbols in alike.items())
 
 
 def measure(words: str) -> Measure:
@@ -198,8 +211,6 @@ def of_parameters(cases: pd.DataFrame) -> dict[str, Array]:
         **{"deviation": deviation, "signed-error": percent},
         **dict.fromkeys(("size", "error"), np.abs(percent)),
         "efficiency": only(is_bounded, deviation / bound),
-        "bounded-error": only(is_bounded, percent),
-        "bound": only(is_bounded, 100.0 * bound / true),
         "coverage": np.where(has_ends, (low <= true) & (true <= high), np.nan),
         "half-width": np.where(has_ends, 50.0 * (high - low) / np.abs(estimate), np.nan),
     }
@@ -280,9 +291,6 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
               format="+.2f"),
     *_of_each("efficiency", "", "error/bound", "error of {} over the Cramér-Rao bound",
               summary="rms"),
-    *_of_each("bounded-error", "%", "error", "error of {} where a bound is known", summary="rms",
-              least=TINY),
-    *_of_each("bound", "%", "bound", "Cramér-Rao bound of {}", summary="rms"),
     *_of_each("coverage", "%", "coverage", "95 % intervals of {}, of flights called ok, that hold "
               "the truth", summary="share", format=".1f", more=True),
     *_of_each("half-width", "%", "half-width", "half-width of the 95 % interval of {}",
@@ -293,12 +301,8 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
     _share("hits", "hits", "flights whose nearest grid scale was chosen",
            lambda cases: only(in_flow(cases), answered(cases)
                               & (texts(cases, "hit") == "True").to_numpy()), ".0f", more=True),
-    _share("off", "off, of ok", f"flights called ok that are off by more than {OFF:g} %",
-           lambda cases: only(in_flow(cases) & ended(cases, "ok"), off(cases)), ".2f"),
     _share("silent-misses", "silent misses", f"flights called ok and off by more than {OFF:g} %",
            lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), ".2f"),
-    _share("misfits", "misfit", "flights called a misfit",
-           lambda cases: only(in_flow(cases), ended(cases, "misfit"))),
     Measure("r-squared", "", "R²", "R² of the fit", _column("r_squared"), format=".4f", more=True),
     Measure("heading-error", "°", "heading", "|error| of the heading", _heading_errors, least=TINY),
     Measure("sides-error", "%", "sides", "largest |error| of the cells' sides",
@@ -312,12 +316,10 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
             "error of the flow along other flights, where offered",
             lambda cases: only(answered(cases), 100.0 * numbers(cases, "prediction_error")),
             "geometric mean", 100.0, least=TINY),
-    Measure("bounded", "", "with bound", "cases with a bound",
-            lambda cases: bounded(cases).astype(float), "number"),
+    _share("bounded", "with bound", "cases called ok whose flight has a bound", bounded),
     # of several scales at once
-    Measure("unseen", "", "unseen", "cases called ok without all scales",
-            lambda cases: (ended(cases, "ok") & ~(numbers(cases, "scales_within_1_percent") > 0)
-                           ).astype(float), "number"),
+    _share("unseen", "unseen", "flights called ok without all of their scales",
+           lambda cases: ended(cases, "ok") & ~(numbers(cases, "scales_within_1_percent") > 0)),
     _share("scales-found", "all found", "flights with every length scale within 1 %",
            lambda cases: only(in_flow(cases),
                               np.nan_to_num(numbers(cases, "scales_within_1_percent"))),
@@ -349,8 +351,6 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
             format=".0f", varies=True),
     Measure("repeats", "", "repeats", "repeats of a solve", _timed("repeats"), format=".0f",
             varies=True),
-    _share("median-known", "median known", "times known to the precision asked for",
-           _timed("known"), ".0f", more=True),
     _share("disturbed", "disturbed", "times taken while other programs had the core",
            _timed("disturbed"), ".0f"),
     Measure("cores", "", "CPU / wall", "CPU time over wall time",

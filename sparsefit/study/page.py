@@ -12,6 +12,7 @@ import hashlib
 import json
 import math
 import re
+import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -156,8 +157,9 @@ def progress(study: Any, cases: pd.DataFrame) -> str:
 def show(study: Any, cases: pd.DataFrame, *, width: int) -> str:
     """Return the question, the headline and the first tables for a terminal."""
     made = tables.tables(study, cases)
-    head = [f"{study.name}: {study.question}", headline(study, cases), progress(study, cases)]
-    return "\n".join([*head, "", *(each.to_text(width) for each in made.values())])
+    head = (f"{study.name}: {study.question}", headline(study, cases), progress(study, cases))
+    said = [textwrap.fill(text, width, break_on_hyphens=False) for text in head]
+    return "\n".join([*said, "", *(each.to_text(width) for each in made.values())])
 
 
 def table_files(study: str, made: Mapping[str, Table]) -> dict[str, bytes]:

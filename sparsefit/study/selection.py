@@ -21,7 +21,7 @@ from sparsefit.study.entries import factor_words
 from sparsefit.study.keys import CRITERIA
 from sparsefit.study.measures import factors
 from sparsefit.study.resampling import ROUNDING, Difference
-from sparsefit.study.table import significant
+from sparsefit.study.table import listed, significant
 from sparsefit.study.trials import (
     LIMITS,
     Breach,
@@ -244,14 +244,6 @@ def check(selection: Selection, cases: pd.DataFrame) -> Check:
     broken = trials.breaches(selection.rule, selection.latencies)[own]
     return Check(trials.shape[1], *trials.score(own), trials.against(own, best),
                  str(list(titles.values())[best]), broken, len(titles))  # fmt: skip
-
-
-def listed(names: Sequence[str], word: str = "or") -> str:
-    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
-    names = list(dict.fromkeys(names))
-    if len(names) > 5:
-        names = [*names[:4], f"{len(names) - 4} more"]
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
 def headline(selection: Selection) -> str:

@@ -9,6 +9,7 @@ Sources: Dolan and More, Math. Program. 91 (2002) 201-213, for performance profi
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -78,11 +79,6 @@ def places(cases: pd.DataFrame) -> dict[str, int]:
     return best
 
 
-def rivals(seconds: pd.DataFrame) -> pd.DataFrame:
-    """Return the times without those of solvers that are timed with their certificates too."""
-    return seconds[[name for name in seconds if not str(name).endswith(", certified")]]
-
-
 def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
     """Return a row per objective, accuracy, problem and solver: `seconds`, `ratio` to the fastest.
 
@@ -140,30 +136,6 @@ def summary(cases: pd.DataFrame) -> Table:
     return Table("Solvers: success and time", tuple(columns), every, (note,))
 
 
-def winners(cases: pd.DataFrame) -> Table:
-    """Return the fastest solver of every problem by its shape, and the next one behind it."""
-    strict, limit, every = strictest(cases)
-    once = cases.drop_duplicates("problem").set_index("problem")
-    shapes = once["samples"].astype(str) + " × " + once["columns"].astype(str)
-    rows: list[Row] = []
-    for objective, seconds in every.items():
-        for problem, own in rivals(seconds).iterrows():
-            (first, least), *others = own.sort_values(kind="stable").items()
-            row: Row = ("nobody", None, None, None)
-            if math.isfinite(least):
-                row = (str(first), 1e3 * least, None, None)
-                for second, behind in others[:1]:
-                    ahead = significant(min(behind, limit) / least)
-                    row = (*row[:2], str(second), f"{'≥ ' * math.isinf(behind)}{ahead}")
-            rows.append((objective, str(problem), shapes[str(problem)], *row))
-    heads = (
-        *map(Column, ("objective", "problem", "samples × columns", "fastest")),
-        Column("time", "ms", varies=True), Column("next", varies=True),
-        Column("next / fastest", varies=True),
-    )  # fmt: skip
-    return Table(f"The fastest by shape, to {strict}", heads, rows)
-
-
 def failures(cases: pd.DataFrame) -> Table:
     """Return who failed where, by status and reason; the numbers in a reason may differ."""
     bad = cases[~cases["status"].isin(["ok", "skipped"])]
@@ -181,19 +153,17 @@ def failures(cases: pd.DataFrame) -> Table:
 
 def headline(cases: pd.DataFrame) -> Iterator[str]:
     """Give a sentence per objective: who is fastest to the strictest accuracy, and by how much."""
-    strict, limit, every = strictest(cases)
-    for objective, seconds in every.items():
-        solved, charged = np.isfinite(rivals(seconds)), seconds.clip(upper=limit)
-        if not solved.any(axis=None):
-            yield f"{objective}: no solver solves a problem to a certified {strict}."
+    to, rows = accuracy_text(accuracies(cases)[-1]), summary(cases).rows
+    rivals = [row for row in rows if not str(row[1]).endswith(", certified")]  # timed with checks
+    for objective, group in itertools.groupby(rivals, key=lambda row: row[0]):
+        (_, first, verdict, solved, *_), *others = (tuple(map(str, row)) for row in group)
+        if verdict in ("missing", "solved none"):
+            yield f"{objective}: no solver solves a problem to a certified {to}."
             continue
-        first, *others = solved
-        said = f"{objective}: {first} is fastest to a certified {strict}"
-        said += f" and solves {solved[first].sum()} of {len(solved)} problems"
-        for second in others[:1]:
-            middle, low, high = ratio(charged[second].to_numpy(), charged[first].to_numpy())
-            bound = "" if solved[second].all() else "at least "
-            said += f"; {second} takes {bound}{significant(middle)} times as long"
-            if not math.isnan(low):
-                said += f" ({significant(low)} to {significant(high)})"
+        said = f"{objective}: {first} is fastest to a certified {to}"
+        said += f" and solves {solved.replace('/', ' of ')} problems"
+        for _, second, verdict, _, _, times, ends, *_ in others[:1]:
+            if verdict != "missing":
+                said += f"; {second} takes {times.replace('≥', 'at least')} times as long"
+                said += f" ({ends.replace('…', 'to')})" if ends != "–" else ""
         yield f"{said}."

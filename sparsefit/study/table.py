@@ -62,6 +62,14 @@ def sentence(words: str) -> str:
     return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
 
 
+def listed(names: Sequence[str], word: str = "or") -> str:
+    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
+    names = list(dict.fromkeys(names))
+    if len(names) > 5:
+        names = [*names[:4], f"{len(names) - 4} more"]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
+
+
 def significant(value: float, digits: int = 3) -> str:
     """Return a number with three significant digits, without an exponent from 1e-4 to 1e6."""
     if math.isnan(value) or math.isinf(value):
@@ -235,24 +243,30 @@ class Table:
         """
         import pandas as pd
 
-        words = sum(1 for _ in itertools.takewhile(bool, self.is_text))
-        names = min(words, len(self.columns) - 1)
+        words = [is_text and not column.group
+                 for is_text, column in zip(self.is_text, self.columns, strict=True)]  # fmt: skip
+        names = min([*words, False].index(False), len(self.columns) - 1)
         room = max(12, int(0.6 * width / max(names, 1)))
         columns = list[Sequence[str]]()
-        for place, texts in enumerate(zip(self.heads, *self.texts(most), strict=True)):
+        heads = [column.heading for column in self.columns]
+        for place, texts in enumerate(zip(heads, *self.texts(most), strict=True)):
             letters = room if place < names else width // 2
             begin, end = letters // 2, (letters - 1) // 2
             short = [text if len(text) <= letters else f"{text[:begin]}…{text[-end:]}"
                      for text in texts]  # fmt: skip
-            columns.append(short if len(set(short)) == len(set(texts)) else texts)
+            is_told_apart = place >= names or len(set(short)) == len(set(texts))
+            columns.append(short if is_told_apart else texts)
         every = [list(row) for row in zip(*columns, strict=True)]
         sizes = [max(map(len, texts)) for texts in columns]
         behind = ["  ".join(map(str.ljust, row[:names], sizes)) for row in every]
-        frame = pd.DataFrame([row[names:] for row in every[1:]], behind[1:], every[0][names:])
-        frame.columns.name = behind[0]
-        with pd.option_context("display.unicode.east_asian_width", True):
+        groups = [column.group for column in self.columns[names:]]
+        levels = [groups, every[0][names:]] if any(groups) else [every[0][names:]]
+        frame = pd.DataFrame([row[names:] for row in every[1:]], behind[1:], levels)
+        frame.columns.names = ["", behind[0]][-len(levels) :]
+        with pd.option_context("display.unicode.east_asian_width", True,
+                               "display.multi_sparse", False):  # fmt: skip
             text = frame.to_string(line_width=width, max_colwidth=None).replace(" \\\n", "\n")
-        body = "\n".join(line.rstrip() for line in text.splitlines())
+        body = re.sub(r"^\n|\n(?=\n\n)", "", re.sub(r" +$", "", text, flags=re.MULTILINE))
         notes = [textwrap.fill(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, body, *notes]) + "\n"
 

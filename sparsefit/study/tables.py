@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError
+from sparsefit.arrays import Array
 from sparsefit.study import entries, measures, resampling, solver_times
 from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
-from sparsefit.study.measures import MEASURES, OFF, SYMBOLS, UNITS, Measure, numbers, three
+from sparsefit.study.measures import MEASURES, SYMBOLS, UNITS, Measure, in_words, numbers
 from sparsefit.study.table import Column, Row, Table, Value, sentence
 
 if TYPE_CHECKING:
@@ -32,12 +31,13 @@ ROWS = ("condition", "title")
 class Part(NamedTuple):
     """A column of a table: the values (rows,) of all cases, and the measure that summarises them.
 
+    each: where it is None, the cases are counted of which the value is true.
     interval: whether `from` and `to`, of 95 % over flights, stand behind it.
     """
 
     column: Column
     values: Array
-    each: Measure = MEASURES["seconds"]
+    each: Measure | None = None
     interval: bool = False
 
 
@@ -46,10 +46,9 @@ def column_of(each: Measure) -> Column:
     head, _, symbol = each.heading.rpartition(" ")
     if symbol not in SYMBOLS.values():
         head, symbol = each.heading, ""
-    words = head if each.summary in ("share", "number") else f"{each.summary} {head}"
-    format, unit = ("d", "") if each.summary == "number" else (each.format, each.unit)
+    words = head if each.summary == "share" else f"{each.summary} {head}"
     name, group = (symbol, words) if symbol else (words, "")
-    return Column(name, unit, format, group, each.least, each.varies)
+    return Column(name, each.unit, each.format, group, each.least, each.varies)
 
 
 def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
@@ -63,27 +62,23 @@ def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
     return several or list(rows[-1:])
 
 
-def _counted(name: str, mask: BoolArray, group: str = "") -> Part:
-    """Return the column of the number of cases where a mask (rows,) holds."""
-    return Part(Column(name, format="d", group=group), mask.astype(float), MEASURES["bounded"])
-
-
 def _counts(cases: pd.DataFrame) -> list[Part]:
     """Return the columns of how many cases were planned, are ok and have no answer."""
-    every = np.ones(len(cases), dtype=bool)
-    return [_counted("n", every), _counted("ok", measures.ended(cases, "ok")),
-            _counted("failures", ~measures.answered(cases))]  # fmt: skip
+    counted = {"n": np.ones(len(cases), dtype=bool), "ok": measures.ended(cases, "ok"),
+               "failures": ~measures.answered(cases)}  # fmt: skip
+    return [Part(Column(name, format="d"), mask.astype(float)) for name, mask in counted.items()]
 
 
 def summarised(
     entry: Entry, cases: pd.DataFrame, title: str, parts: Sequence[Part], names: Sequence[str] = (),
     notes: Sequence[str] = (),
 ) -> Table:  # fmt: skip
-    """Return a row per group of cases and a column per part: the one group-by of all tables.
+    """Return a row per group of cases and a column per part that has a number of any case.
 
     Args:
         names: the columns that tell rows apart, by default what varies of those of the entry.
     """
+    parts = [part for part in parts if not part.each or not np.isnan(part.values).all()]
     names = names or name_columns(cases, entry.rows or ROWS)
     columns = [*map(Column, names)]
     for part in parts:
@@ -97,9 +92,8 @@ def summarised(
         cells: list[Value] = []
         for part in parts:
             here, each = part.values[places], part.each
-            summary = each.summary_of(here)
-            cells.append(int(summary) if each.summary == "number" else summary)
-            if part.interval:
+            cells.append(each.summary_of(here) if each else int(here.sum()))
+            if each and part.interval:
                 grid = resampling.by_unit(here, cases["flight"].iloc[places])
                 if each.summary == "share" and grid.shape[1] == 1:
                     cells += resampling.wilson(np.nansum(here), (~np.isnan(here)).sum())
@@ -112,29 +106,27 @@ def summarised(
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group: planned, answered, and each measure, with its interval if asked."""
     parts = [
-        Part(column_of(each), each.values(cases), each, entry.interval and each.summary != "number")
-        for each in entry.measures
+        Part(column_of(each), each.values(cases), each, entry.interval) for each in entry.measures
     ]
-    notes = dict.fromkeys(sentence(f"{each.phrase}: {each.convention}")
-                          for each in entry.measures if each.miss is not None)  # fmt: skip
+    notes = [sentence(in_words([each for each in entry.measures if each.miss is not None]))]
     if entry.interval:
         drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole flights"
-        notes[f"{drawn}; a share of single cases: Wilson's."] = None
+        notes.append(f"{drawn}; a share of single cases: Wilson's.")
     title = entry.name.replace("-", " ").capitalize() or "Measures"
-    return summarised(entry, cases, title, [*_counts(cases), *parts], (), tuple(notes))
+    return summarised(entry, cases, title, [*_counts(cases), *parts], (), [*filter(None, notes)])
 
 
 def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group and a column per level of the factor `along`, of the first measure."""
-    swept, each = measures.factors(cases), entry.measures[0]
-    if not entry.along and len(swept) != 1:
-        raise InputError(f"along = … names which factor: {', '.join(swept) or 'none is swept'}")
-    along = entry.along or swept[0]
-    words, levels = entries.factor_words(along), entries.levels_of(cases, along)
-    others = ["protocol", "backend", "label", "settings"] if "protocol" in cases else []
-    others += [name for name in swept if name != along]
-    rows = entry.rows or [name for name in others if cases[name].nunique() > 1] or ["title"]
-    values = each.values(cases)
+    each, words = entry.measures[0], entries.factor_words(entry.along)
+    levels, values = entries.levels_of(cases, entry.along), each.values(cases)
+    rows = list(entry.rows or ROWS[1:])
+    if (
+        not entry.rows
+        and "protocol" in cases
+        and cases["title"].nunique() < len(cases[["protocol", "title"]].drop_duplicates())
+    ):
+        rows = ["protocol", "title"]
     parts = [
         Part(replace(column_of(each), name=level, group=words),
              measures.only((levels == level).to_numpy(), values), each)
@@ -142,27 +134,28 @@ def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
     ]  # fmt: skip
     title = f"{sentence(each.phrase)[:-1]} along {words}"
     return summarised(entry, cases, title, [*_counts(cases), *parts], name_columns(cases, rows),
-                      [sentence(each.convention)])  # fmt: skip
+                      [sentence(in_words([each]))])  # fmt: skip
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return how cases ended against what was true: within 5 %, off, no flow, nobody knows."""
-    near, truth, notes = f"≤ {OFF:g} %", np.full(len(cases), "all", dtype=object), list[str]()
+    limit, truth, notes = f"{measures.OFF:g} %", np.full(len(cases), "all", object), list[str]()
+    near = f"≤ {limit}"
     if "est_mean_velocity" in cases:
         flown = measures.in_flow(cases)
         truth[flown] = np.where(measures.off(cases), "off", near)[flown]
         truth[measures.in_still_air(cases)] = "no flow"
         truth[~measures.ended(cases, *STATUSES[:4])] = "all"
         notes = [
-            f"Off: U0, L_w or τ_w misses the truth by more than {OFF:g} %, or there is no number. "
-            "Ok and off is a silent miss; ok without a flow a false alarm; unidentifiable and off "
-            "was deserved."
+            f"Off: U0, L_w or τ_w misses the truth by more than {limit}, or there is no number. Ok "
+            "and off is a silent miss; ok without a flow a false alarm; unidentifiable and off was "
+            "deserved."
         ]
     parts = [_counts(cases)[0]]
     for name in STATUSES:
         for fact in (near, "off", "no flow", "all"):
             both = measures.ended(cases, name) & (truth == fact)
-            parts += [_counted(fact, both, name)] if both.any() else []
+            parts += [Part(Column(fact, "", "d", name), both.astype(float))] if both.any() else []
     return summarised(entry, cases, "How cases ended, and what was true", parts, (), notes)
 
 
@@ -174,9 +167,10 @@ def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     each = cases.iloc[np.repeat(np.arange(len(cases)), 3)]
     each = each.assign(parameter=np.tile(list(SYMBOLS.values()), len(cases)))
     parts = [
-        *_counts(each)[:2], _counted("with interval", ~np.isnan(covered)),
+        *_counts(each)[:2],
+        Part(Column("with interval", format="d"), np.isfinite(covered).astype(float)),
         Part(Column("coverage", "%", ".1f"), covered, MEASURES["hits"], interval=True),
-        Part(Column("half-width", "%"), halves),
+        Part(Column("half-width", "%"), halves, MEASURES["length-scale-half-width"]),
     ]  # fmt: skip
     note = (
         "Share of the flights called ok whose 95 % interval holds the truth, with its own 95 % "
@@ -188,12 +182,14 @@ def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
 
 def single(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return status, truth, estimate and percentage error of every case."""
+    each = MEASURES["timescale-signed-error"]  # of a single case its mean is it
     parts = [
-        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), numbers(cases, f"{prefix}_{name}"))
+        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), numbers(cases, f"{prefix}_{name}"),
+             each)
         for group, prefix in (("true", "true"), ("estimated", "est")) for name in PARAMETERS
     ]  # fmt: skip
     errors = measures.of_parameters(cases)["signed-error"]
-    parts += [Part(Column(SYMBOLS[name], "%", "+.2f", "error"), error)
+    parts += [Part(Column(SYMBOLS[name], "%", "+.2f", "error"), error, each)
               for name, error in zip(PARAMETERS, errors.T, strict=True)]  # fmt: skip
     names = [*name_columns(cases, entry.rows or ("flight", *ROWS)), "status"]
     return summarised(entry, cases, "True and estimated flow parameters", parts, names)
@@ -206,7 +202,6 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
     "coverage": coverage,
     "parameters": single,
     "solvers": lambda entry, cases: solver_times.summary(cases),
-    "winners": lambda entry, cases: solver_times.winners(cases),
     "failed": lambda entry, cases: solver_times.failures(cases),
 }
 
@@ -216,7 +211,7 @@ def fitting(cases: pd.DataFrame) -> list[str]:
     if "objective" in cases:
         predicted = ["prediction"] if np.isfinite(numbers(cases, "holdout_error")).any() else []
         raced = solver_times.is_race(cases) or not predicted
-        return [*predicted, *(["solvers", "winners"] * raced), "failed", *(["clock"] * raced)]
+        return [*predicted, *(["solvers"] * raced), "failed", *(["clock"] * raced)]
     several = cases["flight"].nunique() > 1
     flown = several and bool(measures.in_flow(cases).any())
     says = {
@@ -255,11 +250,11 @@ def tables(
             every[name] = replace(made, title=title)
             continue
         made = LAYOUTS[entry.compare or "settings"](entry, cases)
-        printed = [printed_value(outputs.reference, each) for each in entry.measures]
-        if not (entry.compare or entry.interval) and any(value is not None for value in printed):
-            blank = [None] * (len(made.columns) - len(printed) - 4)
-            own = (outputs.reference.name, *blank, outputs.reference.flights, None, None, *printed)
-            made = replace(made, rows=[own, *made.rows])
+        printed: dict[str, Value] = {column_of(each).full: printed_value(outputs.reference, each)
+                                     for each in entry.measures}  # fmt: skip
+        if any(value is not None for value in printed.values()):
+            printed |= {"n": outputs.reference.flights, made.heads[0]: outputs.reference.name}
+            made = replace(made, rows=[tuple(map(printed.get, made.heads)), *made.rows])
         every[name] = made
     return {name: made for name, made in every.items() if made.rows or names}
 
@@ -268,6 +263,7 @@ def printed_value(reference: Any, each: Measure) -> float | None:
     """Return the number that a reference prints of a measure; None where it prints nothing."""
     for kind in ("deviation", "signed-error"):
         values = getattr(reference, kind.replace("-", "_"), ())
-        if values and each.name in three(kind):
-            return float(values[three(kind).index(each.name)])
+        names = measures.three(kind)
+        if values and each.name in names:
+            return float(values[names.index(each.name)])
     return None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.plot import draw_estimate, draw_flow, draw_path, encoded
+from sparsefit.plot import draw_estimate, draw_flow, encoded
 from sparsefit.plot.pictures import axis_unit, spectrum, vorticity
 
 FLOW = sf.CellularFlow(15.43, 4.21)
@@ -80,15 +80,18 @@ def test_a_map_holds_all_tracks_and_the_vorticity_of_the_flow(flown):
     assert axis_unit(7e3, "m") == (1e3, "km")
 
 
-def test_a_path_names_the_largest_weights():
-    alphas = np.geomspace(1.0, 1e-3, 20)
-    weights = np.outer(-np.log(alphas), np.arange(15.0))
-    figure = draw_path(alphas, weights, [f"w{place}" for place in range(15)])
-    names = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert names[:2] == ["w14", "w13"]
-    assert len(names) == 10
-    assert len(figure.axes[0].lines) == 14  # the column that is never used is not drawn
-    assert is_whole(figure)
+def test_the_residual_of_a_flight_without_noise_is_within_the_frame(flown):
+    _, estimator, estimate = flown
+    flight = sf.simulate_flight(
+        FLOW, sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=4.0, sample_rate=50.0, seed=7
+    )
+    exact = replace(estimate, flow=FLOW, length_scale=4.21)
+    figure = draw_estimate(exact, estimator, [flight], "x")
+    power, (low, high) = figure.axes[3], figure.axes[3].get_ylim()
+    named = [text.get_text() for text in power.get_legend().get_texts()]
+    assert named == ["velocity of the air", "residual x", "residual y"]
+    for line in power.lines[:3]:
+        assert low < np.median(line.get_ydata()) < high
     assert encoded(figure, ".pdf").startswith(b"%PDF")
     assert encoded(figure, ".svg", "a") == encoded(figure, ".svg", "a")
 

@@ -188,7 +188,7 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("[run]", "[run]\nmax_memory = 1", "at least 256 [MB]"),
         ("[run]", "[outputs]\ntables = [3]\n[run]", "[outputs]"),
         ("[run]", "[outputs]\ntables = []\n[run]", "must not be an empty list"),
-        ("[run]", '[outputs.reference]\nname = "x"\nestimate = [1]\n[run]', "must be 3 values"),
+        ("[run]", '[outputs.reference]\nname = "x"\ndeviation = [1]\n[run]', "must be 3 values"),
         ("[run]", '[outputs]\nscript = "no.py"\n[run]', "no such file beside x.toml"),
     ],
     ids=lambda text: text[-40:],

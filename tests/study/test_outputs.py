@@ -315,9 +315,7 @@ class TestSolvers:
         assert solver_times.accuracies(self.cases) == (1e-4, 1e-6, 1e-8)
         assert solver_times.accuracies(loose) == (1e-4,)
 
-    def test_winners_failures_and_the_headline(self):
-        winner = made("winners", self.cases).rows[0]
-        assert winner == ("lasso", "p0", "100 × 10", "fast", pytest.approx(10.0), "slow", "4.00")
+    def test_failures_and_the_headline(self):
         (failed,) = made("failed", self.cases).rows  # the numbers of a reason may differ
         assert failed[1:5] == ("lost", "inaccurate", 6, "p0, p1, p2 and 3 more")
         said = page.headline(study(self.cases), self.cases)

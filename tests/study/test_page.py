@@ -127,22 +127,22 @@ class TestComparison:
         assert made.only == (3, 0)
         assert made.differs
 
-    def test_solvers_are_compared_by_the_ratio_of_their_times(self):
-        def timed(factor):
-            return frame(*(solve(f"p{n}", "ours", factor * 0.1 * (n + 1)) for n in range(6)))
+    def test_problems_are_compared_by_their_held_out_error_and_not_by_time(self):
+        def solved(factor, error=0.1):
+            return frame(*(solve(f"p{n}", "ours", factor * 0.1, holdout_error=error + 0.01 * n)
+                           for n in range(6)))  # fmt: skip
 
-        made = compare(timed(1.0), timed(1.5), ("a", "b"))
+        made = compare(solved(1.0), solved(1.5), ("a", "b"))
+        assert not made.differs
+        made = compare(solved(1.0), solved(1.0, 0.2), ("a", "b"))
         effect = made.tables["effects"].frame.iloc[0]
-        assert effect["verdict"] == "worse"
-        assert effect["time, second / first: effect"] == pytest.approx(1.5)
-        assert made.worse
-        assert not made.differs  # no time is like another
-        with pytest.raises(InputError, match="differ in points"):
-            compare(timed(1.0).assign(points=10), timed(1.0).assign(points=5), ("a", "b"))
+        assert effect[["setting", "verdict", "changed"]].tolist() == ["lasso, ours", "worse", 6]
+        name = "mean held-out error, of the target's variance, second − first [%]"
+        assert effect[name] == pytest.approx(10.0)
 
     def test_runs_that_have_nothing_in_common_are_refused(self):
         other = spread(flights=10).assign(case_id=[f"x{n}" for n in range(20)])
         with pytest.raises(InputError, match="no case in common"):
             compare(spread(flights=10), other, ("a", "b"))
-        with pytest.raises(InputError, match="one holds flights"):
+        with pytest.raises(InputError, match="no case in common"):
             compare(spread(flights=10), frame(solve("p0", "a", 1.0)), ("a", "b"))

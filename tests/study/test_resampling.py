@@ -16,7 +16,6 @@ PLAIN = {
     "rms": lambda row: math.sqrt(np.mean(row**2)),
     "share": lambda row: 100.0 * np.mean(row),
     "largest": np.max,
-    "number": np.sum,
 }
 MEAN = resampling.pooled(mean)
 
