@@ -134,7 +134,7 @@ class Estimator:
             weights_by_scale=by_scale,
             backend=fit.backend.name,
             settings=settings_of(fit.backend),
-            samples=fit.problem.samples if cells else len(prepared.samples.time),
+            samples=fit.problem.samples if cells else sum(len(own.time) for own in prepared.parts),
             columns=fit.problem.columns,
             certificate=fit.certificate,
             seconds=prepared.seconds + fit.seconds + perf_counter() - start,

@@ -40,14 +40,15 @@ def misfit(words: str) -> Verdict:
 def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[Verdict]:
     """Doubts before a flow is searched for; free: as in `doubts_of_flow`."""
 
-    samples, phi = len(prepared.samples.time), prepared.flow_velocity
+    phi = prepared.flow_velocity
+    samples = len(phi)
     if samples <= 20:  # they say nothing of their own noise
         yield unidentifiable(
             Doubt.FEW_SAMPLES,
             f"{samples} samples are too few for the unknowns of a flow; fly longer, or sample "
             "faster",
         )
-    speed = float(np.abs(prepared.samples.velocity).max())
+    speed = max(float(np.abs(own.velocity).max()) for own in prepared.parts)
     if float(np.abs(phi - phi.mean(axis=0)).max()) <= 1e-6 * speed:  # smoothing errs by 1e-9
         yield unidentifiable(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
     for number, flight in enumerate(prepared.flights, 1):

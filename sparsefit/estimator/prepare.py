@@ -48,11 +48,6 @@ class Prepared(Brief):
     seconds: float
     _answers: dict[Any, Any] = field(default_factory=dict, repr=False)
 
-    @cached_property
-    def samples(self) -> Samples:
-        """States and derivatives, of several flights one after another."""
-        return self.parts[0] if len(self.parts) == 1 else Samples.joined(self.parts)
-
     @property
     def vehicles(self) -> list[PointMassVehicle]:
         """The vehicles as they are believed to be."""

@@ -56,6 +56,7 @@ TARGET_NAMES: dict[str, tuple[str, ...]] = {
     "state-derivative": ("dx/dt", "dy/dt", "dv_x/dt", "dv_y/dt"),
 }
 STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
+BLOCK = 1024  # rows of it at once
 
 
 @dataclass(frozen=True)
@@ -309,7 +310,9 @@ class Library:
             )
         columns = self._columns(extent_of(position))
         size, per = len(columns["names"]), 1 if self.family == "cells" else 2
-        sources = [samples.source.every(self.every) for samples in flights]
+        sources = [
+            (samples.averages or samples).rows(slice(None, None, self.every)) for samples in flights
+        ]
         count = per * sum(len(source.time) for source in sources)
         large = 8 * per * len(position) * size > STREAM_BYTES and count > size + 4
 
@@ -324,12 +327,12 @@ class Library:
                 target = self.response(source, vehicle).reshape(per * len(source.time), -1)
                 basis = UnknownColumns(self.unknown, vehicle).basis(source, shared=per == 2)
                 if large:
-                    blocks = (
-                        (slice(per * rows.start, per * rows.stop), theta_of(block))
-                        for rows, block in source.blocks()
-                    )
+                    starts = range(0, len(source.time), BLOCK)
+                    thetas = (theta_of(source.rows(slice(i, i + BLOCK))) for i in starts)
+                    rows = (slice(per * i, per * (i + BLOCK)) for i in starts)
                     triangle, target = compressed(
-                        (np.hstack([basis[rows], theta]), target[rows]) for rows, theta in blocks
+                        (np.hstack([basis[own], theta]), target[own])
+                        for own, theta in zip(rows, thetas, strict=True)
                     )
                     basis, theta = np.split(triangle, [basis.shape[1]], axis=1)
                 else:

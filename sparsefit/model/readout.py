@@ -199,7 +199,7 @@ def read_grid(
         InputError: where the flight does not move.
     """
     position = np.concatenate([samples.position for samples in flights])
-    sources = [samples.source for samples in flights]
+    sources = [samples.averages or samples for samples in flights]
 
     def refitted(theta: Callable[[Array], Array]) -> Array:
         """Weights of columns, where there are more rows than samples x before y of each."""

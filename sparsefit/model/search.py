@@ -62,15 +62,16 @@ class Search:
         origin = np.array([*middle(position), 0.5 * (time.min() + time.max())])
         thin, worth = [], 0.0
         for samples in flights:
-            # Errors of smoothed derivatives, and of positions, are not white.
-            correlation = max(5.0, samples.smoothing.correlation)
+            # Errors of smoothed derivatives, and of positions, are not white, in rows:
+            own = samples.smoothing
+            correlation = max(5.0, own.rate_window / (own.order + 1))  # a window per coefficient
             worth += 2 * len(samples.time) / correlation
             way = np.hypot(*np.diff(samples.position, axis=0).T)
             far = max(1, int(0.25 * least / max(float(np.median(way)), 1e-300)))
             # 1,500 rows where they are a quarter of the least length scale apart, 6,000 of any.
             most = 1_500 // len(flights) + 1
             stride = max(int(0.5 * correlation), min(far, len(way) // most))
-            thin.append(samples.every(max(1, stride, len(way) // 6_000)))
+            thin.append(samples.rows(slice(None, None, max(1, stride, len(way) // 6_000))))
         counts = tuple(len(samples.time) for samples in thin)
         own = np.repeat(np.array(weights or [1.0] * len(flights), dtype=float), counts)
         place = [np.column_stack([samples.position, samples.time]) for samples in thin]

@@ -10,32 +10,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.flight import Flight
-from sparsefit.logs.checks import GAP, ONE_STEP, clock_rounding, gaps_of
+from sparsefit.logs.checks import ONE_STEP, clock_rounding, gaps_of
 
 
 @dataclass(frozen=True)
 class Repairs:
-    """The samples that were replaced before a derivative was taken.
+    """The samples that were replaced before a derivative was taken."""
 
-    Args:
-        outliers: samples whose position or velocity was replaced.
-        gaps: interruptions that no derivative was taken across.
-        resampled: samples on even time steps that stand for those on uneven ones.
-        longest_gap: [s], 0 where there is none.
-    """
-
-    outliers: int = 0
-    gaps: int = 0
-    resampled: int = 0
-    longest_gap: float = 0.0
+    outliers: int = 0  # samples whose position or velocity was replaced
+    gaps: int = 0  # interruptions that no derivative was taken across
+    resampled: int = 0  # samples on even time steps that stand for those on uneven ones
+    longest_gap: float = 0.0  # [s], 0 where there is none
 
     @property
     def words(self) -> str:
@@ -50,42 +41,33 @@ class Repairs:
 
 @dataclass(frozen=True, eq=False)
 class LogPieces:
-    """The samples of a flight and its gaps."""
+    """The samples of a flight, in pieces between its gaps."""
 
     time: Array  # [s], (m,)
     state: Array  # x, y [m], vx, vy [m/s], (m, 4)
-    starts: IntArray  # the first rows of all pieces but the first, (pieces - 1,)
+    piece: IntArray  # the number of each sample's piece, ascending, (m,)
     velocity_measured: bool = True  # it tells more than the position
 
+    def windows(self, width: int) -> IntArray:
+        """The first samples of all windows of so many that cross no gap."""
+        count = max(len(self.piece) - width + 1, 0)
+        return np.flatnonzero(self.piece[width - 1 :] == self.piece[:count])
+
     @cached_property
-    def slices(self) -> list[slice]:
-        """The rows of each piece."""
-        return [slice(*ends) for ends in pairwise([0, *self.starts.tolist(), len(self.time)])]
+    def steps(self) -> Array:
+        """The time steps within the pieces [s]."""
+        return np.asarray(np.diff(self.time)[self.windows(2)])
 
     @cached_property
     def step(self) -> float:
         """The mean time step [s] within the pieces."""
-        within = sum(float(self.time[p.stop - 1] - self.time[p.start]) for p in self.slices)
-        return within / max(len(self.time) - len(self.slices), 1)
-
-    @property
-    def away(self) -> Array:
-        """The steps (m - 1,) less the mean one [s], 0 across a gap."""
-        away: Array = np.diff(self.time) - self.step
-        away[self.starts - 1] = 0.0
-        return away
+        return float(self.steps.mean())
 
     @cached_property
     def even(self) -> bool:
         """Whether the steps within the pieces are one and the same."""
-        return bool(np.abs(self.away).max() <= ONE_STEP * self.step + clock_rounding(self.time))
-
-    def whole(self, width: int) -> BoolArray:
-        """Which windows, the j-th of the samples j to j + width - 1, cross no gap."""
-        inside = np.ones(max(len(self.time) - width + 1, 0), dtype=bool)
-        for start in self.starts:
-            inside[max(start - width + 1, 0) : start] = False
-        return inside
+        slack = ONE_STEP * self.step + clock_rounding(self.time)
+        return bool(np.abs(self.steps - self.step).max() <= slack)
 
     def resampled(self) -> LogPieces:
         """The pieces on even steps, the mean one; each begins with its own first sample.
@@ -95,16 +77,27 @@ class LogPieces:
         """
         from scipy.interpolate import CubicHermiteSpline  # slow to import, rarely needed
 
-        times = []
-        for piece in self.slices:
-            first, last = float(self.time[piece.start]), float(self.time[piece.stop - 1])
+        times, pieces = [], []
+        for number, rows in enumerate(self.slices):
+            first, last = float(self.time[rows.start]), float(self.time[rows.stop - 1])
             count = int((last - first) / self.step + 1e-6) + 1
             times.append(np.minimum(first + self.step * np.arange(count), last))
-        time = np.concatenate(times)
+            pieces.append(np.full(count, number))
         slopes = np.gradient(self.state[:, 2:], self.time, axis=0)
         spline = CubicHermiteSpline(self.time, self.state, np.hstack([self.state[:, 2:], slopes]))
-        starts = np.cumsum([len(part) for part in times[:-1]], dtype=np.intp)
-        return replace(self, time=time, state=spline(time), starts=starts)
+        time = np.concatenate(times)
+        return replace(self, time=time, state=spline(time), piece=np.concatenate(pieces))
+
+    @property
+    def slices(self) -> list[slice]:
+        """The rows of each piece."""
+        ends = np.cumsum(np.bincount(self.piece)).tolist()
+        return [slice(*pair) for pair in zip([0, *ends], ends, strict=False)]
+
+
+def filtered(values: Array, kernel: Array) -> Array:
+    """The weighted sums (m - n + 1, c) of columns (m, c) with a kernel (n,)."""
+    return np.stack([np.correlate(column, kernel, "valid") for column in values.T], axis=1)
 
 
 def pieces_of(flight: Flight, *, repair: bool, even: bool) -> tuple[LogPieces, Repairs]:
@@ -112,21 +105,20 @@ def pieces_of(flight: Flight, *, repair: bool, even: bool) -> tuple[LogPieces, R
 
     even: whether a repair makes uneven time steps even; outliers are sought on even steps alone.
     """
-    state, steps = np.hstack([flight.position, flight.velocity]), np.diff(flight.time)
-    starts = np.empty(0, dtype=np.intp)
-    if repair and steps.max() > GAP * steps.min():
-        starts = np.flatnonzero(gaps_of(flight.time)) + 1
-    log = LogPieces(flight.time, state, starts, flight.velocity_measured)
-    repairs = Repairs(gaps=len(starts), longest_gap=float(steps[starts - 1].max(initial=0.0)))
+    state, gaps = np.hstack([flight.position, flight.velocity]), bool(repair) & gaps_of(flight.time)
+    piece = np.concatenate([[0], np.cumsum(gaps)])
+    log = LogPieces(flight.time, state, piece, flight.velocity_measured)
+    longest = float(np.diff(flight.time)[gaps].max(initial=0.0))
+    repairs = Repairs(gaps=int(piece[-1]), longest_gap=longest)
     if not repair or not (log.even or even):
         return log, repairs
     if not log.even:
         log = log.resampled()
         repairs = replace(repairs, resampled=len(log.time))
     state = log.state.copy()
-    for piece in log.slices:
+    for rows in log.slices:
         for columns in (slice(0, 2), slice(2, 4))[: 1 + flight.velocity_measured]:
-            state[piece, columns] = without_outliers(log.state[piece, columns])
+            state[rows, columns] = without_outliers(log.state[rows, columns])
     outliers = int(np.count_nonzero((state != log.state).any(axis=1)))
     if not outliers:
         return log, repairs
@@ -146,35 +138,33 @@ def without_outliers(values: Array, window: int = 11, degree: int = 5) -> Array:
         return values
     powers = np.vander(np.linspace(-1.0, 1.0, window), degree + 1, increasing=True)
     hat, half = powers @ np.linalg.pinv(powers), window // 2
-    weight = np.full((len(values), 1), hat[half, half])
-    weight[:half, 0], weight[-half:, 0] = np.diag(hat)[:half], np.diag(hat)[half + 1 :]
-    scale = np.sqrt((1.0 - weight[:, 0]) / (1.0 - hat[half, half]))
+    own = np.diag(hat)
+    others = (hat - np.diag(own)) / (1.0 - own)[:, None]  # a sample by those around it
+    counts = np.where(np.arange(window) == half, len(values) - window + 1, 1)
+    scale = np.sqrt(np.repeat((1.0 - own) / (1.0 - own[half]), counts))
     least = 0.01 * math.sqrt(float(np.var(values, axis=0).sum()))
     rayleigh = math.sqrt(2.0 * math.log(2.0))  # the median of a pair's length
-
-    def outlying(predicted: Array, scale: Array | float) -> BoolArray:
-        size = np.hypot(*(values - predicted).T)
-        scaled = scale * size
-        spread = max(float(np.median(scaled)) / rayleigh, 1e-300)
-        outstanding: BoolArray = (scaled > 6.5 * spread) & (size > least)
-        rows = np.flatnonzero(outstanding)
-        around = scaled[np.clip(rows - 4, 0, len(size) - 9)[:, None] + np.arange(9)]
-        outstanding[rows] = scaled[rows] > 3.0 * np.median(around, axis=1)
-        return outstanding
-
-    # The first look is by medians, which neighbours that are off too do not move.
+    # The first look is by medians of 5, which neighbours that are off too do not move.
     padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
-    predicted = np.median(sliding_window_view(padded, 5, axis=0), axis=-1)
-    outliers = outlying(predicted, 1.0)
-    for _ in range(6):  # an outlier spoils the prediction of its neighbours too
-        cleaned = np.where(outliers[:, None], predicted, values)
-        inner = [np.correlate(column, hat[half], "valid") for column in cleaned.T]
-        ends = hat[:half] @ cleaned[:window], hat[half + 1 :] @ cleaned[-window:]
-        fitted = np.vstack([ends[0], np.column_stack(inner), ends[1]])
-        predicted, before = (fitted - weight * cleaned) / (1.0 - weight), outliers
-        outliers = outlying(predicted, scale)
-        if not outliers.any() or outliers.mean() > 0.2:
+    a, b, c, d, e = (padded[j : j + len(values)] for j in range(5))
+    low = np.maximum(np.minimum(a, b), np.minimum(d, e))
+    high = np.minimum(np.maximum(a, b), np.maximum(d, e))
+    predicted = np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), c))
+    outliers = np.zeros(len(values), dtype=bool)
+    for look in range(7):
+        if look:  # an outlier spoils the prediction of its neighbours too
+            cleaned = np.where(outliers[:, None], predicted, values)
+            ends = others[:half] @ cleaned[:window], others[half + 1 :] @ cleaned[-window:]
+            predicted = np.vstack([ends[0], filtered(cleaned, others[half]), ends[1]])
+        size = np.hypot(*(values - predicted).T)
+        scaled = scale * size if look else size
+        spread = max(float(np.median(scaled)) / rayleigh, 1e-300)
+        before, outliers = outliers, (scaled > 6.5 * spread) & (size > least)
+        rows = np.flatnonzero(outliers)
+        around = scaled[np.clip(rows - 4, 0, len(size) - 9)[:, None] + np.arange(9)]
+        outliers[rows] = scaled[rows] > 3.0 * np.median(around, axis=1)
+        if look and (not outliers.any() or outliers.mean() > 0.2):
             return values
-        if np.array_equal(outliers, before):
+        if look and np.array_equal(outliers, before):
             break
     return np.where(outliers[:, None], predicted, values)

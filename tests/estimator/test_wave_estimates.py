@@ -67,7 +67,7 @@ def test_on_the_grid_the_flow_is_the_sum_of_its_waves(groups):
     prepared = estimator.prepare(FLIGHT)
     fit = estimator.fit(prepared)
     found = estimator.read(prepared, fit)
-    position = prepared.samples.position[::10]
+    position = prepared.parts[0].position[::10]
     np.testing.assert_allclose(
         found.flow.velocity(*position.T).reshape(-1, 1), prepared.problem.theta @ fit.weights,
         atol=1e-9,

@@ -14,12 +14,12 @@ from sparsefit.flight import Flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle, turning
 from sparsefit.rows import Derivative, Repairs
-from sparsefit.rows.clean import LogPieces, without_outliers
-from sparsefit.rows.smoothing import (
+from sparsefit.rows import derivative as room
+from sparsefit.rows.clean import LogPieces, filtered, without_outliers
+from sparsefit.rows.derivative import (
     FEWEST,
     ORDER,
     SHORTEST,
-    filtered,
     least_risk,
     noise_level,
     polynomial_kernels,
@@ -43,13 +43,13 @@ def drawn(seed, timescale, duration=10.0, noise=(0.0, 0.0)):
 
 def log_of(position, velocity, step=0.01):
     time = step * np.arange(len(position))
-    return LogPieces(time, np.hstack([position, velocity]), np.empty(0, dtype=np.intp))
+    return LogPieces(time, np.hstack([position, velocity]), np.zeros(len(time), dtype=np.intp))
 
 
 def test_polynomial_kernels_are_the_least_squares_polynomial_in_the_middle():
-    values, time = np.random.default_rng(3).standard_normal(21), 0.01 * np.arange(-10, 11)
+    values, time = np.random.default_rng(3).standard_normal(21), np.arange(-10, 11)
     constant, slope, bend = np.polynomial.Polynomial.fit(time, values, 4).convert().coef[:3]
-    read = polynomial_kernels(21, 4, 0.01) @ values
+    read = polynomial_kernels(21, 4) @ values
     np.testing.assert_allclose(read, [constant, slope, 2 * bend], rtol=1e-9)
 
 
@@ -82,7 +82,7 @@ def test_the_window_chosen_has_nearly_the_least_true_error():
 
     def true_risk(window):
         half = window // 2
-        smoothed = filtered(flight.velocity, polynomial_kernels(window, ORDER, 0.01)[0])
+        smoothed = filtered(flight.velocity, polynomial_kernels(window, ORDER)[0])
         return np.mean((smoothed - truth.velocity[half : len(truth.time) - half]) ** 2)
 
     window = least_risk(flight.velocity, 0.5, log)
@@ -133,7 +133,7 @@ def test_flights_that_stand_still_or_go_straight_divide_by_nothing(speed):
     ("rows", "reason"),
     [
         (np.r_[0:400, 402:800], "time steps are not uniform"),
-        (np.arange(FEWEST - 1), "54 samples are fewer than 55"),
+        (np.arange(FEWEST - 1), "no 55 samples without a gap"),
     ],
 )
 def test_uneven_steps_and_short_flights_fall_back_by_name(rows, reason):
@@ -153,10 +153,12 @@ def test_exact_flights_are_read_to_a_thousandth_of_a_percent(timescale):
     assert math.sqrt(np.mean(error**2)) < 1e-5 * flight.flow.mean_velocity
 
 
-def test_a_long_flight_is_judged_by_its_middle():
+def test_a_long_flight_is_judged_by_its_middle(monkeypatch):
     flight = drawn(9, 0.4, 30.0, noise=(0.3, 0.05))
     log = log_of(flight.position, flight.velocity)
-    whole, part = smooth(log)[3], smooth(log, judged_rows=1000)[3]
+    whole = smooth(log)[3]
+    monkeypatch.setattr(room, "JUDGED", 1000)
+    part = smooth(log)[3]
     assert part.window == pytest.approx(whole.window, rel=0.5)
 
 
@@ -242,9 +244,9 @@ def test_no_window_crosses_a_gap():
 
 def test_windows_that_cross_a_gap_by_hand():
     time = np.array([0.0, 1.0, 2.0, 9.0, 10.0, 11.0, 12.0])
-    pieces = LogPieces(time, np.zeros((7, 4)), np.array([3]))
-    found = pieces.whole(3)  # of samples 0-2, 1-3, 2-4, 3-5, 4-6
-    np.testing.assert_array_equal(found, [True, False, False, True, True])
+    pieces = LogPieces(time, np.zeros((7, 4)), np.array([0, 0, 0, 1, 1, 1, 1]))
+    np.testing.assert_array_equal(pieces.windows(3), [0, 3, 4])
+    assert not len(pieces.windows(8))
     assert pieces.slices == [slice(0, 3), slice(3, 7)]
     assert (pieces.step, pieces.even) == (1.0, True)
 
