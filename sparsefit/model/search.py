@@ -63,8 +63,8 @@ class Search:
         thin, worth = [], 0.0
         for samples in flights:
             # Errors of smoothed derivatives, and of positions, are not white, in rows:
-            own = samples.smoothing
-            correlation = max(5.0, own.rate_window / (own.order + 1))  # a window per coefficient
+            smoothing = samples.smoothing
+            correlation = max(5.0, smoothing.rate_window / (smoothing.order + 1))
             worth += 2 * len(samples.time) / correlation
             way = np.hypot(*np.diff(samples.position, axis=0).T)
             far = max(1, int(0.25 * least / max(float(np.median(way)), 1e-300)))
