@@ -296,7 +296,8 @@ def test_rows_of_a_wrong_vehicle_are_the_flow_and_the_columns(method, thrust):
     """Phi_0 = ratio * w + N b with the coefficients that `read` undoes."""
     unknown = ("response_time", "thrust_acceleration" if thrust else "wind")
     believed = sf.PointMassVehicle(2.0, (-1.0, 7.0) if thrust else (5.0, 3.0))
-    source = Derivative(method)(flown()).source
+    samples = Derivative(method)(flown())
+    source = samples.averages or samples
     columns = UnknownColumns(unknown, believed)
     wind = np.array(WIND if thrust else (0.0, 0.0))  # of the flow that is not sought
     flow = FLOW.velocity(*source.position.T) + wind
