@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sparsefit.cli.terminal import coloured, duration, proof, typed
@@ -52,7 +52,7 @@ class ReadLog:
         """The log as JSON-ready values; None for what is not known."""
         from sparsefit.codec import finite_or_none
 
-        values: dict[str, Any] = finite_or_none(asdict(self.quality))
+        values: dict[str, Any] = finite_or_none(vars(self.quality))
         return values | {"read_as": list(self.notes)}
 
     def rows(self, own: LogEstimate, unknown: Sequence[str]) -> Rows:

@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> Reply:
 def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
     """The logs, cut to the times asked for, in the frame of the first; bad ones are refused."""
     from sparsefit.cli.printed import ReadLog
-    from sparsefit.logs.checks import check_log, quality_of
+    from sparsefit.logs.checks import LogQuality, check_log
     from sparsefit.logs.files import read_table
     from sparsefit.logs.layout import Layout
     from sparsefit.rows import Derivative
@@ -118,7 +118,7 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
         flight = _flight(args, path, table, estimator.library.unknown)
         with told_with(path):
             check_log(flight, smallest=grid.lower, largest=grid.upper, longest_gap=args.longest_gap)
-        quality = quality_of(flight, Derivative()(flight).smoothing)
+        quality = LogQuality(flight, Derivative()(flight).smoothing)
         logs.append(ReadLog(path, flight, quality, table.notes))
     return logs
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,88 +15,53 @@ GAP = 4.0  # median steps: a polynomial through the samples carries over less
 ONE_STEP = 1e-6  # relative: what is taken for one and the same step
 
 
-@dataclass(frozen=True)
 class LogQuality:
     """Rate, gaps, extent and noise of a log before anything is made of it.
 
-    Args:
-        samples: m.
-        duration: from the first sample to the last [s].
-        rate: one over the median step [Hz].
-        jitter: rms of the steps about the median one, gaps aside, as a share of it.
-        gaps: steps longer than four median ones.
-        longest_gap: [s], 0 where there is none.
-        extent: sides of the bounding box (x, y) [m].
-        speed: rms [m/s].
-        velocity_measured: whether it was logged, or is that of the positions.
-        frame: what x and y are: ``ENU``, ``NED``, or empty where the log does not say.
-        position_noise: standard deviation [m] as the smoother finds it, NaN where it cannot.
-        velocity_noise: [m/s].
-    """
-
-    samples: int
-    duration: float
-    rate: float
-    jitter: float
-    gaps: int
-    longest_gap: float
-    extent: tuple[float, float]
-    speed: float
-    velocity_measured: bool
-    frame: str = ""
-    position_noise: float = math.nan
-    velocity_noise: float = math.nan
-
-    @property
-    def words(self) -> str:
-        """The numbers in a line."""
-        pace = f"{self.rate:.4g} Hz" if self.rate >= 0.1 else f"every {1.0 / self.rate:.4g} s"
-        even = f"jitter {100 * self.jitter:.2g} %" if self.jitter else "even steps"
-        gaps, (x, y) = "no gaps", self.extent
-        if self.gaps:
-            plural = "s" if self.gaps > 1 else ""
-            gaps = f"{self.gaps} gap{plural} of up to {self.longest_gap:.3g} s"
-        scale, unit = (1e3, "km") if max(x, y) >= 1e3 else (1.0, "m")
-        sides = f"{x / scale:.3g} × {y / scale:.3g} {unit}"
-        noise = []  # below 1e-9 of the speed or the extent it is rounding
-        if self.velocity_noise > 1e-9 * self.speed and self.velocity_measured:
-            noise.append(f"{self.velocity_noise:.2g} m/s")
-        if self.position_noise > 1e-9 * max(x, y):
-            noise.append(f"{self.position_noise:.2g} m")
-        levels = f"noise {' and '.join(noise)}" if noise else "no noise"
-        if not noise and math.isnan(self.position_noise):
-            levels = "noise not known"
-        return f"{pace}, {even}; {gaps}; {sides} at {self.speed:.3g} m/s rms; {levels}"
-
-
-def quality_of(flight: Flight, smoothing: Any = None) -> LogQuality:
-    """Return what a flight's log is like.
+    samples: m; duration: from the first sample to the last [s]; rate: one over the median step
+    [Hz]; jitter: rms of the steps about the median one, gaps aside, as a share of it; gaps: steps
+    longer than four median ones; longest_gap: [s], 0 where there is none; extent: sides of the
+    bounding box (x, y) [m]; speed: rms [m/s]; velocity_measured: whether it was logged, or is that
+    of the positions; frame: ``ENU``, ``NED``, or empty where the log does not say; position_noise:
+    standard deviation [m], NaN where it is not known; velocity_noise: [m/s], likewise.
 
     Args:
         flight: the flight.
         smoothing: has ``sigma_position`` [m] and ``sigma_velocity`` [m/s], the noise as a smoother
             finds it.
     """
-    steps = np.diff(flight.time)
-    step, gap = float(np.median(steps)), gaps_of(flight.time)
-    within = steps[~gap]
-    jitter = math.sqrt(float(np.mean((within - step) ** 2))) if within.size else 0.0
-    even = jitter <= ONE_STEP * step + clock_rounding(flight.time)
-    width, height = np.ptp(flight.position, axis=0).tolist()
-    return LogQuality(
-        samples=flight.samples,
-        duration=flight.duration,
-        rate=1.0 / step,
-        jitter=0.0 if even else jitter / step,
-        gaps=int(gap.sum()),
-        longest_gap=float(steps[gap].max(initial=0.0)),
-        extent=(width, height),
-        speed=math.sqrt(float(np.mean(np.sum(flight.velocity**2, axis=1)))),
-        velocity_measured=flight.velocity_measured,
-        frame=flight.frame,
-        position_noise=smoothing.sigma_position if smoothing else math.nan,
-        velocity_noise=smoothing.sigma_velocity if smoothing else math.nan,
-    )
+
+    def __init__(self, flight: Flight, smoothing: Any = None) -> None:
+        steps, gap = np.diff(flight.time), gaps_of(flight.time)
+        step = float(np.median(steps))
+        jitter = math.sqrt(float(np.mean((steps[~gap] - step) ** 2)))
+        even = jitter <= ONE_STEP * step + clock_rounding(flight.time)
+        self.samples, self.duration = flight.samples, flight.duration
+        self.rate, self.jitter = 1.0 / step, 0.0 if even else jitter / step
+        self.gaps, self.longest_gap = int(gap.sum()), float(steps[gap].max(initial=0.0))
+        self.extent: list[float] = np.ptp(flight.position, axis=0).tolist()
+        self.speed = math.sqrt(float(np.mean(np.sum(flight.velocity**2, axis=1))))
+        self.velocity_measured, self.frame = flight.velocity_measured, flight.frame
+        self.position_noise = float(smoothing.sigma_position) if smoothing else math.nan
+        self.velocity_noise = float(smoothing.sigma_velocity) if smoothing else math.nan
+
+    @property
+    def words(self) -> str:
+        """The numbers in a line."""
+        pace = f"{self.rate:.4g} Hz" if self.rate >= 0.1 else f"every {1.0 / self.rate:.4g} s"
+        even = f"jitter {100 * self.jitter:.2g} %" if self.jitter else "even steps"
+        gaps = f"{self.gaps or 'no'} gap{'s' * (self.gaps != 1)}"
+        gaps += f" of up to {self.longest_gap:.3g} s" if self.gaps else ""
+        scale, unit = (1e3, "km") if max(self.extent) >= 1e3 else (1.0, "m")
+        sides = " × ".join(f"{side / scale:.3g}" for side in self.extent)
+        noise = []  # below 1e-9 of the speed or the extent it is rounding
+        if self.velocity_noise > 1e-9 * self.speed and self.velocity_measured:
+            noise.append(f"{self.velocity_noise:.2g} m/s")
+        if self.position_noise > 1e-9 * max(self.extent):
+            noise.append(f"{self.position_noise:.2g} m")
+        levels = "noise not known" if math.isnan(self.position_noise) else "no noise"
+        levels = f"noise {' and '.join(noise)}" if noise else levels
+        return f"{pace}, {even}; {gaps}; {sides} {unit} at {self.speed:.3g} m/s rms; {levels}"
 
 
 def gaps_of(time: Array) -> BoolArray:
@@ -123,8 +87,7 @@ def check_log(
 
     Args:
         flight: the flight.
-        smallest: the least length scale that will be sought [m].
-        largest: likewise.
+        smallest, largest: the length scales that will be sought [m].
         longest_gap: that is allowed [s]; None is 60 s, or 20 steps where they are longer.
 
     Raises:
@@ -148,21 +111,20 @@ def check_log(
             f"{flight.duration:.3g} s, and the smallest length scale sought is {smallest:g} m; "
             "give a log of a flight"
         )
-    apart = _median_step(flight.position, 1)
+    apart, *taken = (  # by one row, two, three and four
+        float(np.median(np.hypot(*(flight.position[lag:] - flight.position[:-lag]).T)))
+        for lag in range(1, min(5, flight.samples - 1))
+    )
     if apart > largest:  # half a period is the least step that tells a wave from another one
         raise InputError(
             f"samples are {apart:.3g} m apart, and the largest length scale sought is {largest:g} m"
             f": no flow of that size shows; raise the grid's bounds (--grid-lower, --grid-upper)"
         )
-    for count in (2, 3, 4):  # vehicles whose rows take turns move little, and are far apart
-        if count < flight.samples - 1 and _median_step(flight.position, count) < 0.1 * apart:
+    for count, step in enumerate(taken, start=2):  # who takes turns moves little, and is far apart
+        if step < 0.1 * apart:
             raise InputError(
                 f"the rows take turns between {count} tracks, {apart:.3g} m apart: a flight is of "
                 "one vehicle; give the rows of one"
             )
     if flight.velocity_measured and not flight.velocity.any():
         raise InputError("the velocity is zero throughout, and the vehicle moves: leave vx, vy out")
-
-
-def _median_step(position: Array, lag: int) -> float:
-    return float(np.median(np.hypot(*(position[lag:] - position[:-lag]).T)))

@@ -16,10 +16,10 @@ from typing import BinaryIO
 import numpy as np
 
 from sparsefit.errors import InputError
-from sparsefit.logs.flight_table import FlightTable, said
+from sparsefit.logs.flight_table import FlightTable, Settings, settings_of
 from sparsefit.logs.layout import Cells, Layout, check_size
 
-_LONGEST = 1 << 16  # characters of a line
+_LONGEST = 1 << 16  # bytes of a line
 
 
 def encode(table: FlightTable) -> bytes:
@@ -38,28 +38,27 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     Raises:
         InputError: naming line and column, if it is no CSV, lacks a column or a value is no number.
     """
-    ends, settings, numbers = 0, list[tuple[str, str, str]](), array("q")
-    while block := file.read(_LONGEST):
-        ends += max(block.count(b"\n"), block.count(b"\r"))
+    ends, entries, numbers = 0, list[tuple[str, str, str]](), array("q")
+    while block := file.read(_LONGEST):  # a bomb costs nothing
+        here = max(block.count(b"\n"), block.count(b"\r"))
+        if not here and len(block) == _LONGEST:
+            words = f"line {ends + 1} is longer than {_LONGEST} bytes: not a CSV file"
+            raise InputError(f"{words}; check quotes and line ends")
+        ends += here
         check_size(ends - 1)
     file.seek(0)
     text = io.TextIOWrapper(file, "utf-8-sig")
 
     def lines() -> Iterator[tuple[int, str]]:
-        """Yield numbers and lines of header and rows one by one: a bomb costs nothing."""
-        for number, line in enumerate(iter(lambda: text.readline(_LONGEST + 1), ""), 1):
-            if len(line) > _LONGEST:
-                words = f"line {number} is longer than {_LONGEST} characters: not a CSV file"
-                raise InputError(f"{words}; check quotes and line ends")
-            if "\0" in line:
-                raise UnicodeError
+        """Yield numbers and lines of header and rows one by one."""
+        for number, line in enumerate(text, 1):
             if "#" in line and line.lstrip().startswith("#"):  # others than settings are text
                 if match := re.fullmatch(r"#\s*([A-Za-z_]\w*)\s*=(.*)", line.strip()):
-                    settings.append((f"line {number}", match[1], match[2]))
+                    entries.append((f"line {number}", match[1], match[2]))
             elif line.strip(",;\t\n "):
                 yield number, line
 
-    def read(wanted: list[str]) -> dict[str, Cells]:
+    def read(wanted: list[str]) -> tuple[dict[str, Cells], Settings]:
         texts: dict[str, list[str]] = {name: [] for name in wanted}
         pairs = [(column.append, names.index(name)) for name, column in texts.items()]
         for number, line in rows:
@@ -73,19 +72,15 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         for name, column in texts.items():  # a comma that parts no cells is a decimal mark
             if delimiter != "," and not any("." in cell for cell in column):
                 texts[name] = [cell.replace(",", ".") for cell in column]
-        return {name: np.array(column, dtype=object) for name, column in texts.items()}
+        arrays = {name: np.array(column, dtype=object) for name, column in texts.items()}
+        return arrays, settings_of(entries, strict=not layout.sources)
 
     try:
         _, header = next(rows := lines(), (0, ""))
         best = max(",;\t", key=header.count)
         delimiter = best if best in header or " " not in header.strip() else " "
         names = [name.strip() for name in _cells(header, delimiter)] if header else []
-        return layout.flight_table(
-            names,
-            read,
-            lambda row: f"line {numbers[row]}",
-            lambda: said(settings, strict=not layout.sources),
-        )
+        return layout.flight_table(names, read, lambda row: f"line {numbers[row]}")
     except UnicodeError:
         words = "no text in UTF-8; expected CSV with the header time,x,y,vx,vy: save it as UTF-8"
         raise InputError(words) from None

@@ -18,11 +18,8 @@ from sparsefit.whole_file import regular_file, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
 WRITTEN: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
-FORMATS: dict[str, ModuleType] = {
-    **WRITTEN,
-    **dict.fromkeys((".txt", ".tsv", ".dat"), csv_file),  # tables of other programs
-    **{".ulg": ulog_file, ".igc": igc_file},
-}
+TABLES = {**WRITTEN, **dict.fromkeys((".txt", ".tsv", ".dat"), csv_file)}
+FORMATS: dict[str, ModuleType] = {**TABLES, ".ulg": ulog_file, ".igc": igc_file}
 
 
 def read_flight(
@@ -36,13 +33,12 @@ def read_flight(
     """Read a flight from a table, a PX4 log (``.ulg``) or an IGC file.
 
     Of a table (``.csv``, ``.parquet``, ``.txt``, ``.tsv``, ``.dat``): columns ``time, x, y, vx,
-    vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; others are ignored.
-    Without both ``vx`` and ``vy`` it has positions only (`Flight.from_positions`). The vehicle:
-    ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in CSV (0 where one is not given)
-    and the others of `sparsefit.logs.flight_table`, ``frame`` (``ENU`` or ``NED``) among them;
-    the same keys in the metadata of Parquet. Columns ``ax`` and ``ay`` [m/s^2] are what the
-    propulsion was measured to push. The true flow, where known: ``mean_velocity`` and
-    ``length_scale``, or ``flow``, the JSON object that `write_flight` writes of any other.
+    vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; ``ax, ay`` [m/s^2],
+    what the propulsion was measured to push; others are ignored. Without ``vx`` and ``vy`` it has
+    positions only. The vehicle: ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in
+    CSV (0 where one is not given), ``drag``, ``thrust_scale``, and ``frame`` (``ENU`` or ``NED``);
+    ``mean_velocity`` and ``length_scale`` of the paper's cells, where the true flow is known; the
+    same keys in the metadata of Parquet.
 
     Args:
         path: the file.
@@ -53,15 +49,13 @@ def read_flight(
             middle, x east and y north; times may be ISO 8601: then they are seconds since the
             first.
         origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has
-            places on the Earth: several logs then have one frame. By default its own middle.
-        epoch: ISO time where t = 0 shall be, of a log that has times of a calendar. By default
-            its first sample.
+            places on the Earth: several logs then have one frame.
+        epoch: ISO time where t = 0 shall be, of a log that has times of a calendar.
 
     Raises:
         InputError: naming file, line and column, if the file is missing, is not a flight, or there
             is no vehicle in it and none is given.
-        MissingExtra: for longitude and latitude without pyproj, for logs of PX4 without pyulog, for
-            IGC files without aerofiles.
+        MissingExtra: where pyproj (degrees), pyulog (PX4) or aerofiles (IGC) is not installed.
     """
     table = read_table(path, Layout.of(columns, origin, epoch))
     with told_with(Path(path)):
@@ -77,7 +71,8 @@ def read_table(path: str | os.PathLike[str], layout: Layout | None = None) -> Fl
     """
     path, layout = Path(path), layout or Layout()
     with regular_file(path, most=LARGEST) as file, told_with(path):
-        table: FlightTable = _format(path, FORMATS).decode(file, layout)
+        formats = TABLES if layout.sources else FORMATS  # others name their columns themselves
+        table: FlightTable = formats[_suffix(path, formats)].decode(file, layout)
     if layout.epoch is None or table.epoch is None:
         return table
     time = table.columns["time"] + (table.epoch - layout.epoch).total_seconds()
@@ -87,19 +82,19 @@ def read_table(path: str | os.PathLike[str], layout: Layout | None = None) -> Fl
 def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write ``flight`` to a ``.csv`` or ``.parquet`` file; `read_flight` returns it exactly.
 
-    A true flow of a user's own is left out. The file appears whole or not at all.
+    A true flow other than `CellularFlow` is left out. The file appears whole or not at all.
 
     Raises:
         InputError: if the file exists and ``overwrite`` is false, or cannot be written.
     """
     path = Path(path)
-    encode = _format(path, WRITTEN).encode
+    encode = WRITTEN[_suffix(path, WRITTEN)].encode
     if os.path.lexists(path) and not overwrite:
         raise InputError(f"{path} exists; pass overwrite=True or choose another name")
     write_whole(path, encode(FlightTable.from_flight(flight)))
 
 
-def _format(path: Path, formats: dict[str, ModuleType]) -> ModuleType:
-    suffix = path.suffix.lower()
-    one_of("file type", suffix or path.name, formats)
-    return formats[suffix]
+def _suffix(path: Path, formats: dict[str, ModuleType]) -> str:
+    kind = "file type with columns=" if formats is TABLES else "file type"
+    one_of(kind, path.suffix.lower() or path.name, formats)
+    return path.suffix.lower()

@@ -22,10 +22,9 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     """Return the positions in a recorder's file; their frame is ENU.
 
     Raises:
-        InputError: if it is no IGC file, or holds no fixes; and on a column map.
+        InputError: if it is no IGC file, or holds no fixes.
         MissingExtra: without aerofiles, or without pyproj.
     """
-    layout.refuse_any("an IGC file")
     most = 100_000_000  # bytes: ten fixes a second for two days
     text = file.read(most + 1).decode("utf-8", errors="replace")
     if len(text) > most:
@@ -34,10 +33,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     try:
         read = igc.Reader(skip_duplicates=True).read(io.StringIO(text))
     except Exception as error:  # what aerofiles makes of a foreign file may be anything
-        if isinstance(error, KeyError) and "utc_date" in str(error):
-            words = "no date (HFDTE record) before the first fix"
-        else:
-            words = str(error)[:100] or type(error).__name__
+        words = str(error)[:100] or type(error).__name__
         raise InputError(f"not an IGC file, or a damaged one: {words}") from None
     damaged, fixes = read["fix_records"]
     valid = [fix for fix in fixes if fix["validity"] == "A"]  # three-dimensional
@@ -47,7 +43,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     cells = {"time": np.array(clock, "M8[us]")}
     cells |= {name: np.array([fix[name] for fix in valid]) for name in ("lon", "lat")}
     degrees = replace(layout, sources={"x": Source("lon"), "y": Source("lat")})
-    table = degrees.flight_table(list(cells), lambda _: cells, "fix {}".format, dict)
+    table = degrees.flight_table(list(cells), lambda _: (cells, ({}, "")), "fix {}".format)
     notes = [f"fixes from {clock[0]:%Y-%m-%d %H:%M:%S} UTC, rounded to 1.9 m", *table.notes[1:]]
     if len(valid) < len(fixes):
         notes.append(f"{len(fixes) - len(valid)} of {len(fixes)} fixes are not valid, and left out")

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import io
-from functools import partial
-from typing import Any, BinaryIO
-
-import numpy as np
+from typing import BinaryIO
 
 from sparsefit.errors import InputError
-from sparsefit.logs.flight_table import FlightTable, said
+from sparsefit.logs.flight_table import FlightTable, Settings, settings_of
 from sparsefit.logs.layout import Cells, Layout, check_size
 
 
@@ -33,7 +30,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
     import pyarrow as arrow
     from pyarrow import parquet
 
-    def read(wanted: list[str]) -> dict[str, Cells]:
+    def read(wanted: list[str]) -> tuple[dict[str, Cells], Settings]:
         meta = source.metadata
         groups = [meta.row_group(group) for group in range(meta.num_row_groups)]
         for name in wanted:
@@ -47,33 +44,20 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
                 raise InputError(f"{size}: no log of a flight; write it again")
         # Texts stay packed as places in a dictionary until they are cells, which share them.
         table = parquet.ParquetFile(file, read_dictionary=wanted).read(columns=wanted)
-        return {name: _cells(table.column(name)) for name in wanted}
+        packed = arrow.types.is_dictionary
+        columns = ((name, table.column(name)) for name in wanted)
+        cells = {name: (own.to_pandas() if packed(own.type) else own).to_numpy()
+                 for name, own in columns}  # fmt: skip
+        entries = (
+            ("metadata", key.decode(errors="replace"), text.decode(errors="replace"))
+            for key, text in (schema.metadata or {}).items()
+        )
+        return cells, settings_of(entries, strict=False)
 
     try:
         source = parquet.ParquetFile(file)
         check_size(source.metadata.num_rows)
         schema = source.schema_arrow
-        entries = [
-            ("metadata", key.decode(errors="replace"), text.decode(errors="replace"))
-            for key, text in (schema.metadata or {}).items()
-        ]
-        head = partial(said, entries, strict=False)
-        return layout.flight_table(schema.names, read, "row {}".format, head)
+        return layout.flight_table(schema.names, read, "row {}".format)
     except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
-
-
-def _cells(column: Any) -> Cells:
-    """The cells as an array of numbers or moments, or as texts; NaN or no text where empty."""
-    from pyarrow import types
-
-    kind = column.type
-    if types.is_floating(kind) or types.is_integer(kind) or types.is_timestamp(kind):
-        array: Cells = column.to_numpy()
-        return array
-    packed = column if types.is_dictionary(kind) else column.cast("string").dictionary_encode()
-    packed = packed.combine_chunks()
-    words = ["" if word is None else str(word) for word in packed.dictionary.to_pylist()]
-    places = packed.indices.fill_null(len(words)).to_numpy(zero_copy_only=False)
-    texts: Cells = np.array([*words, ""], dtype=object)[places]
-    return texts

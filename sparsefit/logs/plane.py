@@ -59,21 +59,21 @@ def plane_of(
             wider than 2000 km.
         MissingExtra: without pyproj.
     """
-    x, y = names
-    swap = f"latitude and longitude look swapped: exchange them, x={y}, y={x}"
-    check = "check the columns and their units"
-    east_to, north_to = np.abs(longitude).max(), np.abs(latitude).max()
-    x_ends, y_ends = (f"{v.min():.4g} … {v.max():.4g}°" for v in (longitude, latitude))
-    if north_to > 90.0:
-        raise InputError(f"{y} goes to {y_ends}, no latitude; {swap if east_to <= 90.0 else check}")
-    if longitude.min() < -180.0 or east_to > 360.0:
-        raise InputError(f"{x} goes to {x_ends}, no longitude; {check}")
-    # Few fly beyond 85 degrees north, and whoever seems to has likely exchanged the columns.
-    if np.median(np.abs(latitude)) > 85.0 >= east_to:
-        raise InputError(f"{y} tells latitudes of {y_ends}, at a pole; {swap}")
+    (x, y), east_by, north_by = names, np.abs(longitude), np.abs(latitude)
     crossed = x.casefold().startswith("lat") and y.casefold().startswith("lon")
-    if crossed and np.median(np.abs(longitude)) <= 85.0:  # else the header has them wrong
-        raise InputError(f"x = {x} and y = {y}: x is east, the longitude; {swap}")
+    if (
+        north_by.max() > 90.0
+        or longitude.min() < -180.0
+        or east_by.max() > 360.0
+        # Few fly beyond 85 degrees north, and whoever seems to has likely exchanged the columns.
+        or np.median(north_by) > 85.0 >= east_by.max()
+        or (crossed and np.median(east_by) <= 85.0)  # else the header has them wrong
+    ):
+        x_ends, y_ends = (f"{v.min():.4g} … {v.max():.4g}°" for v in (longitude, latitude))
+        raise InputError(
+            f"x = {x} goes {x_ends}, y = {y} goes {y_ends}: latitude and longitude look swapped: "
+            f"exchange them, x={y}, y={x}, or check their units"
+        )
     # In one piece past 180 degrees.
     longitude = longitude[0] + (longitude - longitude[0] + 180.0) % 360.0 - 180.0
     middle = [(float(v.min()) + float(v.max())) / 2.0 for v in (longitude, latitude)]
@@ -83,8 +83,8 @@ def plane_of(
     position = np.column_stack(projection(longitude, latitude))
     farthest = float(np.hypot(*position.T).max())
     if not farthest < 2_000e3:  # m
-        words = f"the track goes {farthest / 1e3:.0f} km from {'the origin' if origin else 'its'}"
-        raise InputError(f"{words}{'' if origin else ' middle'}: no plane; cut it")
+        whence = "the origin" if origin else "its middle"
+        raise InputError(f"the track goes {farthest / 1e3:.0f} km from {whence}: no plane; cut it")
     turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
     share = max(1e-3, 100.0 * (farthest / 6_371e3) ** 2 / 6.0)  # %
     west = (east + 180.0) % 360.0 - 180.0

@@ -13,7 +13,7 @@ from sparsefit import backends
 from sparsefit.cli.printed import ReadLog, lines
 from sparsefit.estimator import Doubt
 from sparsefit.flows import ShapedCells
-from sparsefit.logs.checks import quality_of
+from sparsefit.logs.checks import LogQuality
 from tests.problems import fly
 
 FLOW = ShapedCells(12.0, 4.2, heading=math.radians(25.0), offset=(1.0, 0.5))
@@ -166,7 +166,7 @@ def test_the_flow_is_that_of_the_flight_in_its_own_coordinates(turned):
 
 def test_the_command_line_tells_the_shape(turned):
     _, flight, estimate = turned
-    words = "\n".join(lines([ReadLog("turned", flight, quality_of(flight), ())], estimate, ()))
+    words = "\n".join(lines([ReadLog("turned", flight, LogQuality(flight), ())], estimate, ()))
     assert "shape                 square cells\n" in words
     assert f"heading               {math.degrees(estimate.heading):.4f} degrees" in words
     assert "drift" not in words
@@ -183,7 +183,7 @@ def test_two_flows_are_read_each_by_itself():
         assert abs(read.length_scale - true.length_scale) < 4 * read.uncertainty.length_scale
         assert read.uncertainty.mean_velocity < 0.02 * true.mean_velocity
         assert read.heading == pytest.approx(true.heading, abs=0.01)
-    log = ReadLog("f", flight, quality_of(flight), ())
+    log = ReadLog("f", flight, LogQuality(flight), ())
     told = [line for line in lines([log], found, ()) if line.startswith("flow ")]
     assert len(told) == 2
     assert all(" heading " in line and line.endswith(" degrees") for line in told)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sparsefit as sf
-from sparsefit.logs.checks import check_log, quality_of
+from sparsefit.logs.checks import LogQuality, check_log
 
 VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 NOISE = {"velocity_noise": 0.2, "position_noise": 0.05}
@@ -83,11 +83,11 @@ def test_quality_counts_what_is_there(flight):
     time = flight.time[rows] + 0.001 * rng.standard_normal(len(rows))
     cut = replace(flight, time=time, position=flight.position[rows],
                   velocity=flight.velocity[rows], frame="NED")  # fmt: skip
-    quality = quality_of(cut)
+    quality = LogQuality(cut)
     assert quality.rate == pytest.approx(100.0, rel=0.01)
     assert quality.jitter == pytest.approx(np.sqrt(2) * 0.1, rel=0.1)  # of two times, of 10 ms
     assert (quality.gaps, quality.longest_gap) == (1, pytest.approx(0.51, abs=0.01))
-    assert quality.extent == tuple(np.ptp(cut.position, axis=0))
+    assert quality.extent == np.ptp(cut.position, axis=0).tolist()
     assert quality.frame == "NED"
     words = "100.1 Hz, jitter 14 %; 1 gap of up to 0.509 s; 39.6 × 43.3 m at 8.03 m/s rms"
     assert words in quality.words
@@ -97,8 +97,8 @@ def test_quality_of_a_slow_log_and_of_noise(flight):
     time = 900.0 * np.arange(5.0)
     slow = sf.Flight.from_positions(time, 2e4 * np.outer(time / 900, [1.0, 2.0]), VEHICLE)
     expected = "every 900 s, even steps; no gaps; 80 × 160 km at 49.7 m/s rms; noise not known"
-    assert quality_of(slow).words == expected
-    quality = quality_of(flight, sf.Derivative()(flight).smoothing)
+    assert LogQuality(slow).words == expected
+    quality = LogQuality(flight, sf.Derivative()(flight).smoothing)
     assert quality.velocity_noise == pytest.approx(0.2, rel=0.1)
     assert quality.position_noise == pytest.approx(0.05, rel=0.1)
     assert quality.words.endswith("; noise 0.19 m/s and 0.05 m")
