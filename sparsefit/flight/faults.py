@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, integer, is_number, non_negative, positive, store
+from sparsefit.errors import InputError, integer, non_negative, number_setting, positive, store
 from sparsefit.flight.record import Flight, streams
 
 
@@ -53,8 +53,7 @@ class LogFaults:
         store(self, non_negative, "s", "gap_duration")
         store(self, integer, 0, "jumps", "gaps")
         for name in ("outliers", "lost_samples"):
-            if not is_number(share := getattr(self, name), 0.0, 1.0):
-                raise InputError(f"{name} is a share of the samples, 0 to 1; got {share!r}")
+            number_setting("faults", name, getattr(self, name), low=0.0, high=1.0)
 
     def spoil(self, flight: Flight, seed: np.random.SeedSequence) -> Flight:
         """Return the log of a flight with these faults; each fault has a stream of its own.

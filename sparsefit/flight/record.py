@@ -74,9 +74,8 @@ class Flight(Brief):
         for name in names:
             store(self, frozen, ("m",) if name == "time" else ("m", 2), name)
             values = getattr(self, name)
-            large = np.argwhere(np.abs(values) > LARGEST)
-            if len(large):
-                value = f"{values[tuple(large[0])]:g} in row {large[0][0]}"
+            for place in np.argwhere(np.abs(values) > LARGEST)[:1]:
+                value = f"{values[tuple(place)]:g} in row {place[0]}"
                 raise InputError(f"{name} is {value}: no flight; change the unit")
         counts = [len(getattr(self, name)) for name in names]
         if len(set(counts)) != 1:
@@ -84,12 +83,11 @@ class Flight(Brief):
             raise InputError(f"a flight has one row per sample in every array; got {words}")
         if self.samples < MINIMUM_SAMPLES:
             raise InputError(f"a flight needs at least {MINIMUM_SAMPLES} samples; got {counts[0]}")
-        falls = np.flatnonzero(np.diff(self.time) <= 0)
-        if len(falls):
-            before, after = self.time[falls[0]], self.time[falls[0] + 1]
+        for row in np.flatnonzero(np.diff(self.time) <= 0)[:1] + 1:
+            before, after = self.time[row - 1], self.time[row]
             raise InputError(
-                f"time {'runs backwards' if after < before else 'stands still'}: row {falls[0] + 1}"
-                f" (t={after}) follows t={before}; sort or drop rows, or split the log where "
+                f"time {'runs backwards' if after < before else 'stands still'}: row {row} "
+                f"(t={after}) follows t={before}; sort or drop rows, or split the log where "
                 "another begins"
             )
         step = self.duration / (self.samples - 1)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, integer, is_number, non_negative, pair, positive
+from sparsefit.errors import InputError, integer, non_negative, number_setting, pair, positive
 from sparsefit.flight.record import MINIMUM_SAMPLES, MOST_SAMPLES, Flight, streams
 from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
 from sparsefit.flight.waves import Flow, FlowField, check_flow
@@ -59,7 +59,7 @@ def simulate_flight(
         position_noise: standard deviation [m] of the measured position.
         velocity_noise: standard deviation [m/s] of the measured velocity.
         substeps: random kicks per sample interval; used only with process noise.
-        time_jitter: in [0, 0.5): by which share of 1/rate a sample is taken early or late at most,
+        time_jitter: in [0, 0.49]: by which share of 1/rate a sample is taken early or late at most,
             uniformly; the time that is logged is the one at which it was taken.
         thrust: flown beside the vehicle's constant, and logged; its times cover the flight.
         thrust_noise: standard deviation [m/s^2] of the logged thrust.
@@ -81,10 +81,7 @@ def simulate_flight(
         words = f"duration * sample_rate is {span * rate:.3g}"
         raise InputError(f"{words}; a flight has {MINIMUM_SAMPLES} to {MOST_SAMPLES} samples")
     time = np.arange(round(span * rate) + 1) / rate
-    if not is_number(time_jitter, 0.0) or time_jitter >= 0.5:
-        raise InputError(
-            f"time_jitter is a share of 1/sample_rate in [0, 0.5); got {time_jitter!r}"
-        )
+    number_setting("a flight", "time_jitter", time_jitter, low=0.0, high=0.49)
     if time_jitter:
         shifts = time_jitter * float(time[1]) * clock.uniform(-1.0, 1.0, len(time) - 1)
         time = np.concatenate([time[:1], time[1:] + shifts])

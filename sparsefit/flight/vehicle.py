@@ -97,9 +97,7 @@ class PointMassVehicle:
 
 @dataclass(frozen=True, eq=False)
 class ThrustSeries:
-    """A thrust acceleration that changes in time, a straight line from sample to sample.
-
-    Its clock and its axes are those of the flight.
+    """A thrust acceleration by the flight's clock and axes, a straight line between samples.
 
     Args:
         time: t [s], (k,), strictly increasing, k >= 2.
@@ -149,20 +147,12 @@ class ThrustSeries:
 
 
 def turning(
-    duration: float,
-    sample_rate: float,
-    *,
-    constant: tuple[float, float],
-    size: float,
-    period: float,
-    phase: float,
+    time: Array, constant: tuple[float, float], size: float, period: float, phase: float
 ) -> ThrustSeries:
     """A constant thrust (x, y) and one beside it that turns counter-clockwise, both [m/s^2].
 
-    Sampled at ``sample_rate`` [Hz] over ``duration`` [s], and one sample more; it points to
-    ``phase`` [rad] at the start, and again after every ``period`` [s], > 0.
+    At times [s], (k,); it points to ``phase`` [rad] at t = 0, and again after every ``period`` [s].
     """
-    time = np.arange(round(duration * sample_rate) + 2) / sample_rate
     turned = 2.0 * np.pi * time / period + phase
     circle = np.stack([np.cos(turned), np.sin(turned)], axis=1)
     return ThrustSeries(time, np.array(constant) + size * circle)

@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, frozen
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, is_integer, one_of, positive, store
+from sparsefit.errors import InputError, integer, one_of, positive, store
 
 Formula: TypeAlias = Callable[[Any, Any, Any], tuple[Any, Any]]
 SPECTRA = {  # the power p of a spectrum, and a times the integral length
@@ -110,13 +110,12 @@ class WaveFlow(Flow):
 
     def __post_init__(self) -> None:
         """Check the waves and store them as read-only arrays."""
-        k = frozen("WaveFlow: wavevectors", self.wavevectors, ("m", 2))
-        object.__setattr__(self, "wavevectors", k)
-        for name in ("cosine", "sine", "frequencies"):
-            given = getattr(self, name)
-            given = np.zeros(len(k)) if given is None and name == "frequencies" else given
-            object.__setattr__(self, name, frozen(f"WaveFlow: {name}", given, (len(k),)))
-        if not len(k) or not np.hypot(*k.T).all():
+        store(self, frozen, ("m", 2), "wavevectors")
+        count = len(self.wavevectors)
+        if self.frequencies is None:
+            object.__setattr__(self, "frequencies", np.zeros(count))
+        store(self, frozen, (count,), "cosine", "sine", "frequencies")
+        if not count or not np.hypot(*self.wavevectors.T).all():
             raise InputError("WaveFlow needs at least one wave, and no wavevector may be (0, 0)")
 
     @property
@@ -195,8 +194,7 @@ class Turbulence(Flow):
         if self.memory is not None:
             store(self, positive, "s", "memory")
         one_of("spectrum of turbulence", self.spectrum, SPECTRA)
-        if not is_integer(self.seed, 0):
-            raise InputError(f"seed must be an integer, 0 or above; got {self.seed!r}")
+        store(self, integer, 0, "seed")
 
     @property
     def mean_velocity(self) -> float:  # type: ignore[override]

@@ -159,10 +159,10 @@ class Draw:
         """The simulated flight, with its faults and the vehicle that its pilot believes in."""
         values, thrust = self.values, None
         if "thrust_turn" in values:
+            samples = round(values["duration"] * values["sample_rate"]) + 2  # one after the end
             thrust = turning(
-                values["duration"],
-                values["sample_rate"],
-                constant=self._pair("thrust"),
+                np.arange(samples) / values["sample_rate"],
+                self._pair("thrust"),
                 size=values["thrust_turn"],
                 period=values["thrust_period"],
                 phase=values.get("thrust_phase", 0.0),

@@ -214,7 +214,7 @@ def test_times_beyond_all_calendars_are_refused(tmp_path):
     times = pa.array([2**60, 2**60 + 1, 2**60 + 2], pa.timestamp("us"))
     still = pa.array([0.0, 1.0, 2.0])
     pq.write_table(pa.table({"time": times, "x": still, "y": still}), tmp_path / "log.parquet")
-    with pytest.raises(InputError, match="row 0, column time: .* is no ISO time"):
+    with pytest.raises(InputError, match=r"row 0, column time: .* is no ISO time"):
         read_table(tmp_path / "log.parquet")
 
 
