@@ -245,7 +245,7 @@ def test_estimator_file_is_used(capsys, flight):
         (("--grid-step", "1e-6"), "more than the 2048 that can be held"),
         (("--grid-step", "4cm"), "give it in m, without the unit"),
         (("--set", "derivative.method=savgol", "--set", "derivative.window=4"), "window must be"),
-        (("--set", "derivative.method=savgol", "--set", "derivative.window=5001"), "longer than"),
+        (("--set", "derivative.method=savgol", "--set", "derivative.window=5001"), "does not fit"),
         (("--set", "library.target=flow"), "--set library.target has unknown value 'flow' (known"),
         (("--set", "library.famly=1"), '--set library.famly unknown: did you mean "family"?'),
         (("--set", "libary.step=1"), '--set libary unknown: did you mean "library"?'),
