@@ -56,13 +56,11 @@ class Estimator:
                     f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
                 )
         number_setting("estimator", "tolerance", self.tolerance, low=0.0)
-        grid = self.library.grid
-        on_grid = self.readout.refine == "none" or not grid.lower < grid.upper
-        if self.library.unknown and (on_grid or self.readout.mean_velocity == "paper"):
+        on_grid = self.readout.refine == "none" or self.readout.mean_velocity == "paper"
+        if self.library.unknown and on_grid:
             raise InputError(
                 f"estimator: unknown {self.library.unknown[0]!r} is measured off the grid alone: "
-                "set readout refine 'variable-projection' and mean_velocity 'rms', and give the "
-                "grid more than one scale"
+                "set readout refine 'variable-projection' and mean_velocity 'rms'"
             )
         if self.free != "auto":
             if isinstance(self.free, str) or not isinstance(self.free, Sequence):
@@ -116,11 +114,11 @@ class Estimator:
                 verdict = Verdict("unidentifiable", words, Doubt.NO_WEIGHTS)
             else:
                 parts["grid_length_scale"] = max(by_scale, key=lambda own: by_scale[own])
-                on_grid = self.readout.refine == "none" or prepared.narrow
                 used = [own for own, weight in by_scale.items() if weight]
-                more, verdict = (
-                    self._on_grid(prepared, fit) if on_grid else self._off_grid(prepared, fit, used)
-                )
+                if self.readout.refine == "none":
+                    more, verdict = self._on_grid(prepared, fit)
+                else:
+                    more, verdict = self._off_grid(prepared, fit, used)
                 parts |= more
         verdict = verdict or Verdict(fit.status, fit.reason)
         speed, scale = parts["mean_velocity"], parts["length_scale"]

@@ -101,8 +101,8 @@ def doubts_of_flow(
     if result is None or not result.detected:
         yield unidentifiable(
             Doubt.NO_FLOW,
-            "no cellular flow detected: no waves explain more than chance and turbulence do, at "
-            "1000 to 1 against a false alarm",
+            f"no cellular flow detected: no waves of {grid.lower:g} to {grid.upper:g} m explain "
+            "more than chance and turbulence do, at 1000 to 1 against a false alarm",
         )
         return
     posterior, goodness, best = result.posterior, result.goodness, scales[0]
@@ -203,6 +203,8 @@ def doubts_of_flow(
             f"the flight covers {extent:.3g} m, less than one period of the flow, {period:.3g} m; "
             "fly farther",
         )
+    if not posterior.converged:
+        yield Verdict("inaccurate", posterior.reason)
 
 
 def _too_late(where: str, latency: float) -> Verdict:

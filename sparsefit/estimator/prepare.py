@@ -70,11 +70,6 @@ class Prepared(Brief):
         pairs = zip(self.parts, self.vehicles, strict=True)
         return np.concatenate([self.library.response(own, vehicle) for own, vehicle in pairs])
 
-    @property
-    def narrow(self) -> bool:
-        """Whether the grid's bounds leave nothing to search between them."""
-        return not self.library.grid.lower < self.library.grid.upper
-
     @cached_property
     def search(self) -> Search:
         """The search off the grid. Raises InputError where nothing can be found."""

@@ -36,6 +36,7 @@ ROUNDS = 4  # departures that are freed one after another, at most
 CLEAR = 8.0  # times a first gain, to second order: what gained more already is what there is
 CALMER = 0.5  # of what wanders, and of its gain: a cause beside it explains as much at least
 TUNED = 3.0  # the factor between the rates that are tried of what wanders
+LAST = 60  # passes towards an answer that has not been at its maximum
 HINT = 0.1  # of a gain by chance, below which a cause that is not found widens the intervals
 FACTOR = 3.0  # by which a scale or a response time may be off
 LATEST = 0.2  # of half the log: the longest latency
@@ -191,7 +192,8 @@ def diagnose(
     posterior, suspects = _significant(logs, first, posterior, suspects, tests)
     if posterior is not first:
         posterior = _simplest(logs, posterior, inside)
-    believed = believed if suspects else posterior
+    posterior = _settled(logs, posterior)
+    believed = _settled(logs, believed) if suspects else posterior
     if posterior is not start:
         gains = gains_of(posterior, {"growth": ("growth",)})
     growth = gains.get(("growth", 0))
@@ -224,7 +226,7 @@ def _ambiguity(
 
     Process noise that remains beside a cause is a misfit that no cause explains: likelihoods that
     differ by less than it gains say nothing of which cause is right. The model has a lag l to first
-    order in l/tau: the next term moves a flow by that share of its first move.
+    order: the second is l (1/(tau - l) + |k.v|/2) of it, and may move a flow by as much.
     """
     unexplained = max(posterior.evidence, CHANCE)
     alike = [
@@ -232,7 +234,9 @@ def _ambiguity(
         for best, other in rivals
         if other.log_likelihood > best.log_likelihood - unexplained
     ]
-    second = abs(posterior.value("lag") / posterior.value("response_time"))
+    lag, turning = abs(posterior.value("lag")), math.pi / posterior.model.pattern.length_scale
+    rate = 1.0 / abs(posterior.value("response_time") - lag)
+    second = lag * (rate + 0.5 * turning * posterior.legs[0].log.speed)
     shares = [(0.0, 0.0)]
     for best, other, share in (*alike, (posterior, believed, second)):
         here, there = best.model.pattern, other.model.pattern
@@ -318,6 +322,14 @@ def _simplest(
             if there and usable(there) and inside(there) and there.bic < posterior.bic:
                 return there
     return posterior
+
+
+def _settled(logs: Sequence[FlightLog], posterior: Posterior) -> Posterior:
+    """The posterior at its maximum, where it was left before: what is answered has intervals."""
+    if posterior.converged or not usable(posterior):
+        return posterior
+    there = fitted(logs, posterior.models, posterior, LAST)
+    return there if there is not None and usable(there) else posterior
 
 
 def _another_law(posterior: Posterior) -> list[Suspect]:
@@ -442,7 +454,10 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
         }
         for name in ("wind_x", "wind_y", "velocity_bias_x", "velocity_bias_y"):
             sizes[name] = changes[name] / speed
-        sizes |= {name: changes[name] * half for name in ("mass_rate", "growth")}
+        sizes |= {
+            "mass_rate": 2.0 * half * changes["mass_rate"],
+            "growth": half * changes["growth"],
+        }
         sizes |= {"lag": changes["lag"] / abs(now["response_time"])}
         sizes |= {"latency": changes["latency"] / (LATEST * half)}
         sizes |= {"quadratic_drag": -now["quadratic_drag"] * speed}

@@ -46,9 +46,12 @@ cdef inline double dot(Py_ssize_t n, const double* x, const double* y) noexcept 
 
 cdef void acceleration(
     const double* element, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t count,
-    const double* state, double time, double tx, double ty, Force* force,
+    const double* state, double time, double age, double tx, double ty, Force* force,
 ) noexcept nogil:
-    """v' of a state, and its derivatives by the state and by `count` elements."""
+    """v' of a state, and its derivatives by the state and by `count` elements.
+
+    age: the time since the start of the log.
+    """
     cdef double tau = element[0], scale = element[1], square = element[5], lag = element[11]
     cdef double x = state[0] - lag * state[2], y = state[1] - lag * state[3], t = time - lag
     cdef double swell = 1.0 + element[12], shape = 1.0 + element[13] * time
@@ -79,7 +82,7 @@ cdef void acceleration(
     cdef double speed = sqrt(rx * rx + ry * ry + 1e-300)
     c, s = (cos(element[2]), sin(element[2])) if element[2] != 0.0 else (1.0, 0.0)
     cdef double hx = c * tx - s * ty, hy = s * tx + c * ty
-    cdef double mass = 1.0 + element[10] * time
+    cdef double mass = 1.0 + element[10] * age
     cdef double weight = 1.0 / (mass * (1.0 - lag / tau))
     cdef double stretch = 1.0 + square * speed, factor = weight / tau
     cdef double fx = factor * stretch * rx, fy = factor * stretch * ry
@@ -107,7 +110,7 @@ cdef void acceleration(
     own[0][2], own[1][2] = -weight * scale * hy, weight * scale * hx
     own[0][3] = own[1][4] = weight
     own[0][5], own[1][5] = factor * speed * rx, factor * speed * ry
-    own[0][10], own[1][10] = -ax * time / mass, -ay * time / mass
+    own[0][10], own[1][10] = -ax * age / mass, -ay * age / mass
     own[0][11], own[1][11] = ax / (tau - lag), ay / (tau - lag)
     for i in range(count):
         k = ids[i]
@@ -124,8 +127,8 @@ cdef struct Step:
 
 cdef void transition(
     const double* elements, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t w, Py_ssize_t p,
-    const double* rates, double time, double step, const double* push, const double* track,
-    double* full, Force* force, Step* result,
+    const double* rates, double time, double start, double step, const double* push,
+    const double* track, double* full, Force* force, Step* result,
 ) noexcept nogil:
     """One step of Runge and Kutta's fourth order with its derivatives; `ids` are walkers first."""
     cdef double state[4]
@@ -156,7 +159,7 @@ cdef void transition(
             result.fading[i] = exp(-rates[i] * reach) if rates[i] != 0.0 else 1.0
             full[ids[i]] += result.fading[i] * track[4 + i]
         acceleration(
-            full, waves, ids, w + p, state, time + reach,
+            full, waves, ids, w + p, state, time + reach, time + reach - start,
             (1.0 - share) * push[0] + share * push[2],
             (1.0 - share) * push[1] + share * push[3], force,
         )
@@ -298,7 +301,7 @@ def forward(
             break
         dt = time[i + 1] - time[i]
         transition(
-            &elements[0], waves, &ids[0], w, moving, &rates[0], time[i], dt, &push[i, 0],
+            &elements[0], waves, &ids[0], w, moving, &rates[0], time[i], time[0], dt, &push[i, 0],
             &track[i, 0], &full[0], &force, &step,
         )
         for k in range(n):

@@ -1,12 +1,13 @@
 """The motion and its elements, and the passes in plain NumPy: filter forward, adjoint backward.
 
     x' = v
-    v' = [(1 + c |r|) r / tau + s R(rho) m + b] / [(1 + mu t)(1 - l/tau)]
+    v' = [(1 + c |r|) r / tau + s R(rho) m + b] / [(1 + mu (t - t_1))(1 - l/tau)]
     r  = (1 + gain)(1 + growth t) w(x - l v, t - l) + wind + wind_growth t - v
     z_x = s_x x(t - latency) + b_x + noise,     z_v = s_v R(rho_v) v + b_v + noise
 
-m is the vehicle's own acceleration in the log [m/s^2], t counts from its middle. Every quantity in
-these lines is an element; another needs a line in `ELEMENTS`, its place in `force` or `reading`,
+m is the vehicle's own acceleration in the log [m/s^2], t counts from its middle, the mass from its
+start t_1, where it is that of the believed tau and thrust. Every quantity in these lines is an
+element; another needs a line in `ELEMENTS`, its place in `force` or `reading`,
 and its derivative in `passes.pyx`. One that `causes` does not name is a cause of its own.
 
 The state is a deviation delta from a track s-bar, theta one from its value:
@@ -55,7 +56,7 @@ ELEMENTS: dict[str, float] = {
     "wind_y": 0.0,
     "wind_growth_x": 0.0,  # [m/s^2]
     "wind_growth_y": 0.0,
-    "mass_rate": 0.0,  # mu [1/s], of the mass by its value in mid-flight
+    "mass_rate": 0.0,  # mu [1/s], of the mass by its value at the start of the log
     "lag": 0.0,  # l [s], by which the pull of the air follows the relative wind, to first order
     "gain": 0.0,  # of the flow
     "growth": 0.0,  # [1/s], relative, of the flow
@@ -96,8 +97,11 @@ class StateSpace:
     noise: Array
 
 
-def force(elements: Array, state: Array, time: Array, push: Array) -> Array:
-    """v' (2, m) of states (4, m), from elements (e + 5 j, m) and the log's own push (2, m)."""
+def force(elements: Array, state: Array, time: Array, push: Array, start: float = 0.0) -> Array:
+    """v' (2, m) of states (4, m), from elements (e + 5 j, m) and the log's own push (2, m).
+
+    start: t_1, from which the mass counts.
+    """
     tau, scale, turn, bx, by, square, wx, wy, gx, gy, rate, lag, gain, growth = elements[:14]
     x, y = state[:2] - lag * state[2:4]
     kx, ky, a, b, omega = elements[OWN:].reshape(-1, 5, len(time)).transpose(1, 0, 2)
@@ -109,11 +113,14 @@ def force(elements: Array, state: Array, time: Array, push: Array) -> Array:
     c, s = np.cos(turn), np.sin(turn)
     turned = scale * np.array([c * push[0] - s * push[1], s * push[0] + c * push[1]])
     drawn = (1.0 + square * speed) * relative / tau
-    pull: Array = (drawn + turned + np.array([bx, by])) / (1.0 + rate * time) / (1.0 - lag / tau)
+    mass = 1.0 + rate * (time - start)
+    pull: Array = (drawn + turned + np.array([bx, by])) / mass / (1.0 - lag / tau)
     return pull
 
 
-def following(space: StateSpace, time: Array, push: Array, elements: Array, states: Array) -> Array:
+def following(
+    space: StateSpace, time: Array, push: Array, elements: Array, states: Array, start: float = 0.0
+) -> Array:
     """x, y, v_x, v_y (4, m - 1) a step after states (n, m - 1); time (m,), push (m, 2)."""
     steps = np.diff(time)
     speed = total = np.zeros((4, len(steps)))
@@ -123,7 +130,7 @@ def following(space: StateSpace, time: Array, push: Array, elements: Array, stat
         np.add.at(full, space.walkers, fading * states[4:])
         here = states[:4] + share * steps * speed
         pushed = (1.0 - share) * push[:-1].T + share * push[1:].T
-        pull = force(full, here, time[:-1] + share * steps, pushed)
+        pull = force(full, here, time[:-1] + share * steps, pushed, start)
         speed = np.concatenate([here[2:4], pull])
         total = total + weight * speed
     return states[:4] + steps / 6.0 * total
@@ -157,11 +164,13 @@ def derived(
 
 
 def transitions(
-    space: StateSpace, time: Array, push: Array, track: Array
+    space: StateSpace, time: Array, push: Array, track: Array, start: float = 0.0
 ) -> tuple[Array, Array, Array]:
     """The next states (m - 1, n), F (m - 1, n, n) and E (m - 1, n, p) along a track (m, n)."""
     n, steps = track.shape[1], np.diff(time)
-    moved, slopes = derived(lambda e, s: following(space, time, push, e, s), space, track[:-1].T)
+    moved, slopes = derived(
+        lambda e, s: following(space, time, push, e, s, start), space, track[:-1].T
+    )
     fading = np.exp(-np.outer(steps, space.rates))
     matrices, inputs = np.zeros((len(steps), n, n)), np.zeros((len(steps), n, space.chain.shape[1]))
     matrices[:, :4], inputs[:, :4] = slopes[:, :, :n], slopes[:, :, n:]
@@ -197,7 +206,7 @@ def forward(
     c, half = n + 1 + p, np.diag_indices(n)
     part = slice(first, min(end + 1, len(nodes.time)))
     time, along = nodes.time[part], track[part]
-    ahead, matrices, inputs = transitions(space, time, nodes.push[part], along)
+    ahead, matrices, inputs = transitions(space, time, nodes.push[part], along, nodes.time[0])
     seen, slopes = derived(lambda e, s: reading(space, e, s), space, along.T)
     kick, spread, total = space.kicks.sum(axis=0), space.noise.sum(axis=0), 0.0
     for i, node in enumerate(range(first, end)):

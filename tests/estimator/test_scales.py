@@ -113,10 +113,19 @@ def test_a_flight_too_short_to_tell_is_never_ok_and_wrong(samples):
             assert found.reason
 
 
-def test_one_candidate_leaves_nothing_to_refine():
-    library = sf.Library(sf.model.LengthScaleGrid(3.3, 3.3))
-    found = Estimator(library=library, readout=SEVERAL).estimate(flight(3.33, velocity_noise=0.2))
-    assert found.length_scale == pytest.approx(3.3)
+@pytest.mark.parametrize("readout", [SEVERAL, sf.Readout()])
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [(3.3, ""), (3.27, "a length scale is at the edge of the search, 3.33 m"),
+     (1e4, "no waves of 10000 to 10000 m explain")],
+)  # fmt: skip
+def test_a_grid_of_one_scale_is_judged_by_the_flight(scale, words, readout):
+    library = sf.Library(sf.model.LengthScaleGrid(scale, scale))
+    found = Estimator(library=library, readout=readout).estimate(flight(3.33, velocity_noise=0.2))
+    assert found.status == ("unidentifiable" if words else "ok")
+    assert words in found.reason
+    if scale < 1e4:  # measured off the grid
+        assert found.length_scale == pytest.approx(3.33, rel=1e-3)
 
 
 @pytest.mark.parametrize("method", ["auto", "weak"])
