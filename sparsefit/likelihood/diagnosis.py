@@ -29,6 +29,7 @@ from sparsefit.likelihood.model import SLOWEST, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, Rung, measure
+from sparsefit.likelihood.smoother import inverted
 
 FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all groups
 FITTED = 3  # groups of the largest gains that are fitted for good
@@ -228,12 +229,8 @@ def _ambiguity(
     differ by less than it gains say nothing of which cause is right. The model has a lag l to first
     order: the second is l (1/(tau - l) + |k.v|/2) of it, and may move a flow by as much.
     """
-    unexplained = max(posterior.evidence, CHANCE)
-    alike = [
-        (best, other, 1.0)
-        for best, other in rivals
-        if other.log_likelihood > best.log_likelihood - unexplained
-    ]
+    unexplained, alike = max(posterior.evidence, CHANCE), [(*pair, 1.0) for pair in rivals]
+    alike = [own for own in alike if own[1].log_likelihood > own[0].log_likelihood - unexplained]
     lag, turning = abs(posterior.value("lag")), math.pi / posterior.model.pattern.length_scale
     rate = 1.0 / abs(posterior.value("response_time") - lag)
     second = lag * (rate + 0.5 * turning * posterior.legs[0].log.speed)
@@ -286,11 +283,8 @@ def _significant(
             - first.models[int(flight or 1) - 1].values[name]
             for name, _, flight in (posterior.names[j].partition("@") for j in places)
         ])  # fmt: skip
-        others = [j for j in range(len(posterior.names)) if j not in places]
-        known = posterior.information
-        cross = known[np.ix_(others, places)]
-        along = np.linalg.lstsq(known[np.ix_(others, others)], cross, rcond=1e-12)[0]
-        wald = float(away @ (known[np.ix_(places, places)] - cross.T @ along) @ away)
+        spread = inverted(posterior.information)[0][np.ix_(places, places)]
+        wald = float(away @ np.linalg.lstsq(spread, away, rcond=1e-12)[0])
         significant[suspect.free] = wald
         if tests * chance_of(wald, len(places)) < FALSE_ALARM:
             continue
@@ -445,22 +439,14 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
     """
     for leg, before in zip(there.legs, believed.models, strict=True):
         now, was, half = leg.model.values, before.values, 0.5 * float(np.ptp(leg.log.time))
-        speed, changes = leg.log.speed, {name: abs(value) for name, value in now.items()}
-        scales = ("response_time", "thrust_scale", "position_scale", "velocity_scale")
-        ratios = {name: now[name] / was[name] for name in scales if name not in before.names}
-        sizes = {
-            name: abs(math.log(ratio)) / math.log(FACTOR) if ratio > 0.0 else math.inf
-            for name, ratio in ratios.items()
-        }
-        for name in ("wind_x", "wind_y", "velocity_bias_x", "velocity_bias_y"):
-            sizes[name] = changes[name] / speed
-        sizes |= {
-            "mass_rate": 2.0 * half * changes["mass_rate"],
-            "growth": half * changes["growth"],
-        }
-        sizes |= {"lag": changes["lag"] / abs(now["response_time"])}
-        sizes |= {"latency": changes["latency"] / (LATEST * half)}
-        sizes |= {"quadratic_drag": -now["quadratic_drag"] * speed}
+        most = dict.fromkeys((*WIND, "velocity_bias_x", "velocity_bias_y"), leg.log.speed)
+        most |= {"mass_rate": 0.5 / half, "growth": 1.0 / half, "latency": LATEST * half}
+        sizes = {name: abs(now[name]) / size for name, size in most.items()}
+        sizes |= {"lag": abs(now["lag"] / now["response_time"])}
+        sizes |= {"quadratic_drag": -now["quadratic_drag"] * leg.log.speed}
+        for name in ("response_time", "thrust_scale", "position_scale", "velocity_scale"):
+            ratio = now[name] / was[name]
+            sizes[name] = abs(math.log(ratio)) / math.log(FACTOR) if ratio > 0.0 else math.inf
         if any(size > 1.0 for name, size in sizes.items() if name not in before.names):
             return False
     return True
@@ -468,13 +454,8 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
 
 def disturbed(posterior: Posterior) -> bool:
     """Whether there is process noise, or colour: a level is seen, and is more than chance."""
-    information = posterior.level_information
-    if (
-        posterior.exact
-        or posterior.pushed
-        or not information.size
-        or not float(information[0, 0]) > 1.0
-    ):
+    seen = posterior.level_information[:1, :1]
+    if posterior.exact or posterior.pushed or not (seen > 1.0).any():
         return False
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
 
