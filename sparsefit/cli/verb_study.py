@@ -49,8 +49,8 @@ SHOW = (
     Option("--case", "run this one case again in this process, draw it, and print its numbers "
            "beside the stored ones; ids stand in cases.parquet, in `errors` and in report.html",
            "CASE_ID"),
-    Option("-o --output", "picture of the case, .html, .svg or .png; default: "
-           "case-CASE_ID.html in the results folder of the study", "FILE"),
+    Option("-o --output", "picture of the flight of the case, .svg, .png or .pdf; default: "
+           "case-CASE_ID.svg in the results folder of the study", "FILE"),
     FORCE,
 )  # fmt: skip
 COMPARED = (
@@ -248,17 +248,15 @@ def show(args: argparse.Namespace) -> Reply:
     from sparsefit.study import page, tables
 
     if args.case is not None:  # its picture is written, its numbers beside the stored
-        study, flown = read_study(args), None
-        if study.kind == "flights":
-            flown = Path(args.output or study.folder / f"case-{args.case}.html")
+        study = read_study(args)
         if args.output is not None:
-            if flown is None:
-                raise InputError("--output: there is no flight to draw in a study of solvers")
-            endings = (".html", ".svg", ".png")
+            endings = (".svg", ".png", ".pdf")
             terminal.check_output(args.output, force=args.force, endings=endings)
-        table = page.write_case(study, args.case, flown)
-        record = {"case": args.case, "picture": flown and str(flown), **table.record()}
-        written = [f"written to {flown}"] if flown else []
+        file = Path(args.output or study.folder / f"case-{args.case}.svg")
+        table = page.write_case(study, args.case, file)
+        drawn = str(file) if study.kind == "flights" else None
+        record = {"case": args.case, "picture": drawn, **table.record()}
+        written = [f"written to {drawn}"] if drawn else []
         return Reply(record, [table.to_text(terminal_width()), *written])
     study, _ = stored(args, whole=False)
     cases, width = study.cases, terminal_width()

@@ -1,37 +1,33 @@
-"""Two runs of a study held against each other: which cases changed, and whether for the worse.
+"""Two runs of a study held against each other: which cases changed, and by how much.
 
 Cases are the same where their ids are, else where `flight` and `identity` are. A case changed where
 its status did, or a number: of flights U0, L_w and tau_w, of problems the held-out error. No time
-is like another: they are not compared. A setting is judged by the mean error of tau_w, or the mean
-held-out error, paired by unit.
+is like another: they are not compared.
 """
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.study.columns import PARAMETERS
-from sparsefit.study.entries import grouped, level_text
+from sparsefit.study.entries import grouped
 from sparsefit.study.measures import factors, measure, numbers
-from sparsefit.study.resampling import by_unit, interval, pooled
 from sparsefit.study.table import Table, significant
 
 TOLERANCE = 1e-6  # of a number: what changed by less is the same
+SIDES = ("first", "second")
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """The cases that both runs have, row by row, and how many only one has.
 
-    sides: the cases of either run. cases: `change`, the largest relative change of a number,
+    sides: the cases of either run. cases: `change`, the largest relative change of a number [%],
     infinite where one run has none; `in status`, whether the status is another; `changed`, whether
     anything is; `lost`, whether an answer is no more.
     """
@@ -47,12 +43,6 @@ class Comparison:
         return bool(self.cases["changed"].any()) or any(self.only)
 
     @property
-    def worse(self) -> bool:
-        """Whether a case lost its answer, or a setting is worse beyond its interval."""
-        verdicts = self.effects.frame["verdict"]
-        return bool(self.cases["lost"].any()) or "worse" in set(verdicts)
-
-    @property
     def sentence(self) -> str:
         """The numbers of changed cases and the largest change, in a sentence."""
         only = (f"; {count} only in {name}"
@@ -65,73 +55,56 @@ class Comparison:
 
     @property
     def tables(self) -> dict[str, Table]:
-        """The table of settings, and that of changed cases, the largest first."""
-        first, second = self.sides
-        label = "solver" if "objective" in first else "label"
-        frame = pd.DataFrame({
-            "case": first["case_id"], label: first[label],
-            f"status in {self.names[0]}": first["status"],
-            f"status in {self.names[1]}": second["status"],
-            "change [%]": 100.0 * self.cases["change"],
-        })[self.cases["changed"]]  # fmt: skip
-        frame.attrs["title"] = "Cases that changed"
-        changes = frame.sort_values("change [%]", ascending=False, kind="stable")
-        return {"effects": self.effects, "changes": Table.of(changes)}
-
-    @cached_property
-    def effects(self) -> Table:
-        """A row per setting: what changed of it, and whether its measure did."""
+        """The table of settings, and that of changed cases, the largest change first."""
         first = self.sides[0]
-        of_problems = "objective" in first
+        of_problems, sides = "objective" in first, dict(zip(SIDES, self.sides, strict=True))
         each = measure("mean holdout-error" if of_problems else "mean timescale-error")
-        names = ["protocol", "label", *factors(first)]
-        names = ["objective", "solver"] if of_problems else names
-        values = [each.values(side) for side in self.sides]
-
-        def apart(grid: Array) -> Array:  # of (..., units, cases, 2), the second less the first
-            return pooled(each.reduce)(grid[..., 1]) - pooled(each.reduce)(grid[..., 0])
-
-        rows: list[dict[str, object]] = []
-        for key, places in grouped(first, ["backend", *names, "settings"]):
-            here, units = self.cases.iloc[places], first["flight"].iloc[places]
-            grid = np.stack([by_unit(value[places], units) for value in values], axis=-1)
-            ends = np.array([apart(grid), *interval(apart, grid)])
-            ends[np.abs(ends) < each.least] = 0.0
+        names = ["objective", "solver"] if of_problems else ["protocol", "label", *factors(first)]
+        values, rows = {name: each.values(side) for name, side in sides.items()}, []
+        for key, places in grouped(first, [*names, "settings"]):
+            here = self.cases.iloc[places]
             rows.append({
-                "setting": ", ".join(map(level_text, key[1:-1])), "settings": key[-1],
-                "verdict": "worse" if ends[1] > 0 else "better" if ends[2] < 0 else "tie",
-                "n": len(places), **here[["changed", "in status"]].sum(),
+                **dict(zip((*names, "settings"), key, strict=True)), "n": len(places),
+                **here[["changed", "in status", "lost"]].sum(),
                 "largest change [%]": _largest(here),
-                **dict(zip((f"{each.phrase}, second − first [{each.unit}]", "from", "to"), ends,
-                           strict=True)),
+                **{f"{each.phrase} [%], {name}": each.summary_of(value[places])
+                   for name, value in values.items()},
             })  # fmt: skip
-        frame = pd.DataFrame(rows)
-        for _, texts in frame.groupby("setting", sort=False)["settings"]:
-            every = [json.loads(text) for text in texts]
-            differ = [key for key, value in every[0].items()
-                      if any(own.get(key) != value for own in every)]  # fmt: skip
-            short = [", ".join(f"{key}={own.get(key)}" for key in differ) for own in every]
-            frame.loc[texts.index, "settings"] = short
-        frame = frame.sort_values("changed", ascending=False, kind="stable", key=lambda n: n > 0)
-        note = "First: {}; second: {}. From, to: 95 %, by bootstrap over units.".format(*self.names)
-        frame.attrs.update(title="What changed, and whether for the worse", notes=(note,))
-        return Table.of(frame)
+        settings = pd.DataFrame(rows).sort_values("changed", ascending=False, kind="stable")
+        settings = settings[
+            [
+                name
+                for name in settings
+                if name not in names or settings[name].nunique(dropna=False) > 1
+            ]
+        ]
+        changes = pd.DataFrame({
+            "case": first["case_id"], names[1]: first[names[1]],
+            **{f"status, {name}": side["status"] for name, side in sides.items()},
+            "change [%]": self.cases["change"],
+        })[self.cases["changed"]]  # fmt: skip
+        changes = changes.sort_values("change [%]", ascending=False, kind="stable")
+        notes = [
+            f"{name.capitalize()}: {run}." for name, run in zip(SIDES, self.names, strict=True)
+        ]
+        settings.attrs.update(title="Settings", notes=notes)
+        changes.attrs["title"] = "Cases that changed"
+        return {"settings": Table.of(settings), "changes": Table.of(changes)}
 
     def record(self) -> dict[str, Any]:
         """Return the comparison as JSON has it."""
+        counted = {"changed": "changed", "restated": "in status", "lost": "lost"}
         return {
             "summary": self.sentence, "cases": len(self.cases),
-            "changed": int(self.cases["changed"].sum()),
-            "restated": int(self.cases["in status"].sum()),
-            "only": list(self.only), "worse": self.worse,
+            **{key: int(self.cases[name].sum()) for key, name in counted.items()},
+            "only": list(self.only),
             "tables": {name: each.record() for name, each in self.tables.items()},
         }  # fmt: skip
 
 
 def _largest(cases: pd.DataFrame) -> float:
-    """Return the largest finite change, in percent."""
-    change = cases["change"].to_numpy()
-    return 100.0 * float(change[np.isfinite(change)].max(initial=0.0))
+    """Return the largest finite change [%]."""
+    return float(cases["change"][np.isfinite(cases["change"])].max() if len(cases) else 0.0)
 
 
 def compare(
@@ -162,8 +135,8 @@ def compare(
     moved[gone.any(axis=0)] = np.inf
     moved[gone.all(axis=0)] = 0.0
     before, after = (side["status"].to_numpy() for side in sides)
-    cases = pd.DataFrame({"in status": before != after, "change": moved.max(axis=0)})
-    cases["changed"] = cases["in status"] | (cases["change"] > tolerance)
+    cases = pd.DataFrame({"in status": before != after, "change": 100.0 * moved.max(axis=0)})
+    cases["changed"] = cases["in status"] | (cases["change"] > 100.0 * tolerance)
     cases["lost"] = ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0)
     only = len(first) - len(shared), len(second) - len(shared)
     return Comparison(names, sides, cases, only)

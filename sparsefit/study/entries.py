@@ -18,13 +18,24 @@ import numpy as np
 from sparsefit.arrays import IntArray
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, suggestion, unknown
-from sparsefit.study.measures import Measure, factors, measure
+from sparsefit.study.measures import (
+    Measure,
+    bounded,
+    factors,
+    in_flow,
+    measure,
+    numbers,
+    numeric_factors,
+    of_parameters,
+)
+from sparsefit.study.solver_times import is_race
 from sparsefit.study.table import Value, plain
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Options: TypeAlias = Mapping[str, object]
+MEASURED = ("settings", "protocols", "lines", "ecdf")  # layouts of whatever measures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,9 +128,28 @@ def shipped(kind: str) -> dict[str, dict[str, Any]]:
     return named
 
 
+def facts(cases: pd.DataFrame) -> set[str]:
+    """Return what holds of the cases, in the words of `needs` in outputs.toml."""
+    says: dict[str, Any]
+    if "objective" in cases:
+        predicted = np.isfinite(numbers(cases, "holdout_error")).any()
+        says = {"predicted": predicted, "race": is_race(cases) or not predicted}
+    else:
+        several, bound = cases["flight"].nunique() > 1, bounded(cases)
+        says = {
+            "single": not several, "several": several, "flow": in_flow(cases).any(),
+            "bound": bound.any(), "scales": np.isfinite(numbers(cases, "scales_missed")).any(),
+            "bounds along noise": "flights.process_noise" in factors(cases[bound]),
+            "intervals": np.isfinite(of_parameters(cases)["coverage"]).any(),
+            "numbers swept": numeric_factors(cases),
+        }  # fmt: skip
+    kind = "problems" if "objective" in cases else "flights"
+    return {kind, *(name for name, holds in says.items() if holds)}
+
+
 def asked(
     study: Any, kind: str, layouts: Collection[str], names: Sequence[str | Options] = (),
-    fits: Sequence[str] = (),
+    cases: pd.DataFrame | None = None,
 ) -> Iterator[tuple[str, Entry | Callable[..., Any]]]:  # fmt: skip
     """Give the file name of each output with its entry, or with what calls the script's function.
 
@@ -127,7 +157,8 @@ def asked(
 
     Args:
         kind: `table` or `figure`; layouts: the names of those that there are.
-        names: those that are asked for, else those that the study declares, else what `fits`.
+        names: those that are asked for, else those that the study declares, else of those that
+            ship all that have something to say of these cases.
 
     Raises:
         InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
@@ -135,7 +166,9 @@ def asked(
     functions, own = functions_of(study), getattr(study.definition.outputs, f"{kind}s")
     named = shipped(f"{kind}s")
     declared = {each["name"]: each for each in own if not isinstance(each, str) and "name" in each}
-    for entry in names or own or fits:
+    says = set[str]() if cases is None else facts(cases)
+    fitting = [name for name, options in named.items() if set(options["needs"]) <= says]
+    for entry in names or own or fitting:
         name = entry if isinstance(entry, str) else str(entry.get("name", ""))
         if isinstance(entry, str) and name not in declared:
             if name in functions:
@@ -146,32 +179,22 @@ def asked(
         if "/" in name or "\\" in name or name.startswith("."):
             raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
         given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry
-        start = named.get(name, {})
+        start = {key: value for key, value in named.get(name, {}).items() if key != "needs"}
         if given.get("compare", start.get("compare")) != start.get("compare"):
             start = {}  # another layout under the name of a shipped one
         read = build(Entry, {**start, **given}, Place(f"the {kind}"))
         one_of(f"compare of the {kind}", layout := read.compare or "settings", layouts)
-        if other := {_kind_of(read)} - {"", study.kind}:
-            mine = [
-                each
-                for each, options in named.items()
-                if _kind_of(build(Entry, options, Place(each))) in ("", study.kind)
-            ]
+        kinds = {each.kind for each in read.measures}
+        if layout not in MEASURED:
+            alike = (each["needs"] for each in named.values() if each.get("compare") == layout)
+            kinds.update(*alike)
+        elif not read.measures:
+            raise InputError(f"the {kind} {name!r} needs measure = …: add it")
+        if other := kinds & {"flights", "problems"} - {study.kind}:
+            mine = [each for each in named if not other & set(named[each]["needs"])]
             raise InputError(f"the {kind} {name!r} is of {other.pop()}, and these cases are of "
                              f"{study.kind}, of which are {', '.join(mine)}")  # fmt: skip
-        if not read.measures and layout in ("settings", "protocols", "lines", "ecdf"):
-            raise InputError(f"the {kind} {name!r} needs measure = …: add it")
         yield read.file_name, read
-
-
-def _kind_of(entry: Entry) -> str:
-    """Return the kind of cases, `flights` or `problems`, of which alone an entry tells."""
-    layouts = {
-        **dict.fromkeys(("coverage", "parameters", "scatter"), "flights"),
-        **dict.fromkeys(("solvers", "failed", "profiles", "shapes"), "problems"),
-    }
-    kinds = [layouts.get(entry.compare, ""), *(each.kind for each in entry.measures)]
-    return max(kinds)
 
 
 def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:

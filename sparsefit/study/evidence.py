@@ -36,28 +36,25 @@ def tables(selection: Selection) -> dict[str, Table]:
         candidates.append((
             str(len(candidates) + 1), each.title, said, each.evaluate, *each.between, each.validate,
             *((None,) * 3 if apart is None else (apart.effect, apart.low, apart.high)),
-            None if each.breaches else 100.0 * each.best,
         ))  # fmt: skip
         regimes.append((each.title, said, *each.by_regime.tolist(), each.evaluate))
         if seen := selection.latencies.get(each.candidate):
             times.append((each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"],
                           100.0 * seen["busy"]))  # fmt: skip
-    candidates += [("–", title, f"not on board: {why}", *(None,) * 8)
+    candidates += [("–", title, f"not on board: {why}", *(None,) * 7)
                    for title, why in selection.refused.items()]  # fmt: skip
     heads = (
         *map(Column, ("rank", "candidate", "verdict")),
         *(Column(name, group="evaluate", **score) for name in ("criterion", "from", "to")),
         Column("criterion", group="validate", **score),
         *(Column(name, unit, group="validate") for name in ("worse by", "from", "to")),
-        Column("best", "%", ".0f", "validate"),
     )
     latency = (("median", "ms", ""), ("99th percentile", "ms", ""), ("peak memory", "MB", ".0f"),
                ("disturbed", "%", ".0f"))  # fmt: skip
     made = {
         "selection": Table(f"Candidates of the selection ({study})", heads, candidates, (
             f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the "
-            "chosen. Intervals (95 %) and the probability to be the best are by bootstrap over the "
-            f"same {selection.unit}s for all.",
+            f"chosen. Intervals: 95 %, by bootstrap over the same {selection.unit}s for all.",
         )),
         "regimes": Table(f"Regimes ({study})", (
             *map(Column, ("candidate", "verdict")),
@@ -95,7 +92,6 @@ def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
             "factors": {name: str(row[name]) for name in own},
             "validate": chosen.validate, "evaluate": chosen.evaluate,
             "interval": chosen.between, "by_regime": dict(regimes),
-            "probability_best": chosen.best,
             "regret": selection.regret.effect if selection.regret else None,
             "latency": selection.latencies.get(chosen.candidate),
             "check": asdict(check) if check else None,
@@ -110,7 +106,7 @@ def provenance(study: Any, selection: Selection) -> dict[str, Any]:
         return {}
     of = record(selection)
     names = ("study", "rule", "units", "criterion", "unit", "title", "validate", "evaluate",
-             "interval", "by_regime", "probability_best", "regret", "tied", "latency")  # fmt: skip
+             "interval", "by_regime", "regret", "tied", "latency")  # fmt: skip
     return {"study_hash": study.hash, "seed": study.seed, **{name: of[name] for name in names}}
 
 

@@ -80,13 +80,6 @@ def _curves(entry: Entry, cases: pd.DataFrame, places: IntArray) -> list[tuple[s
     return [(str(name), places[at]) for (name,), at in grouped(here, [entry.lines])]
 
 
-def numeric_factors(cases: pd.DataFrame) -> list[str]:
-    """Return the swept factors whose every level is a number."""
-    from pandas.api.types import is_numeric_dtype
-
-    return [name for name in measures.factors(cases) if is_numeric_dtype(cases[name])]
-
-
 def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
     """Draw measures along a factor, a line per value of `lines`, a row of panels per measure.
 
@@ -95,7 +88,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     """
     from pandas.api.types import is_numeric_dtype
 
-    axes_of = [entry.along] if entry.along else numeric_factors(cases)
+    axes_of = [entry.along] if entry.along else measures.numeric_factors(cases)
     if not axes_of:
         raise InputError("along = …: no number is swept; name a column, such as condition")
     entries.check_columns(cases, axes_of, "the figure")
@@ -114,7 +107,6 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
             values = each.values(cases)
             summary = "" if each.summary in ("share", "number") else f"{each.summary} "
             words = with_unit(f"{summary}{each.heading or each.words}", each.unit)
-            marks = [*entry.limits, *([1.0] if each.name.endswith("efficiency") else [])]
             for row in _grid(entry, cases):
                 grid.append([
                     Panel(
@@ -122,7 +114,8 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
                          for name, at in _curves(entry, cases, places)],
                         x_label, "\n".join(wrapped(text, 26) for text in (words, level) if text),
                         title, {} if "." in along else {"ls": ""}, levels=shown,
-                        marks=[("y", mark) for mark in marks], is_share=each.summary == "share",
+                        marks=[("y", limit) for limit in entry.limits],
+                        is_share=each.summary == "share",
                     )
                     for level, title, places in row
                 ])  # fmt: skip
@@ -282,7 +275,7 @@ def figures(
     from matplotlib.figure import Figure
 
     every: dict[str, Picture] = {}
-    for name, entry in entries.asked(study, "figure", LAYOUTS, names, fitting(cases)):
+    for name, entry in entries.asked(study, "figure", LAYOUTS, names, cases):
         if not isinstance(entry, Entry):
             made: Figure = styled(entry)(cases, Figure)
             every[name] = Picture(made, sentence(name.replace("_", " ")))
@@ -298,20 +291,3 @@ def figures(
         caption = " ".join(map(sentence, (entry.title or shown, *entry.notes)))
         every[name] = Picture(drawing, caption)
     return every
-
-
-def fitting(cases: pd.DataFrame) -> list[str]:
-    """Return the names of the figures that have something to show of these cases."""
-    if "objective" in cases:
-        predicted = ["prediction"] if np.isfinite(numbers(cases, "holdout_error")).any() else []
-        raced = solver_times.is_race(cases) or not predicted
-        return [*predicted, *(["profiles", "shapes"] * raced)]
-    several = cases["flight"].nunique() > 1 and bool(measures.in_flow(cases).any())
-    says = {
-        "sweep": several and bool(numeric_factors(cases)),
-        "errors": several,
-        "scatter": several,
-        "efficiency": "flights.process_noise" in measures.factors(cases[measures.bounded(cases)]),
-        "coverage": several and np.isfinite(measure("length-scale-coverage").values(cases)).any(),
-    }
-    return [name for name, holds in says.items() if holds]

@@ -93,6 +93,13 @@ def factors(cases: pd.DataFrame) -> list[str]:
     return [name for name in dotted if cases[name].nunique(dropna=False) > 1]
 
 
+def numeric_factors(cases: pd.DataFrame) -> list[str]:
+    """Return the swept factors whose every level is a number."""
+    from pandas.api.types import is_numeric_dtype
+
+    return [name for name in factors(cases) if is_numeric_dtype(cases[name])]
+
+
 @dataclass(frozen=True)
 class Measure:
     """One number of a case.

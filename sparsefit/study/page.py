@@ -1,8 +1,7 @@
 """The pages of a study: tables and pictures as files, one offline HTML page, and a README.
 
 The page is one file: style and script stand in it, its policy lets no other script run and no
-other file be fetched, and whatever comes from a file is escaped. A case that is run again has a
-page, too.
+other file be fetched, and whatever comes from a file is escaped.
 """
 
 from __future__ import annotations
@@ -248,11 +247,11 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
     return joined([*parts, f"More tables: {', '.join(linked)}." if linked else ""])
 
 
-def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
+def write_case(study: Any, case_id: str, file: Path) -> Table:
     """Run a case again, draw it into a file, and return its numbers, stored and now.
 
     Args:
-        file: .html, .svg, .png or .pdf; a regression problem is not drawn.
+        file: .svg, .png or .pdf; a regression problem is not drawn.
 
     Raises:
         InputError: if the study plans no such case.
@@ -268,26 +267,13 @@ def write_case(study: Any, case_id: str, file: Path | None = None) -> Table:
         for name, value in again.values.items()
         if plain(stored.get(name)) is not None or plain(value) not in (None, "")
     ]
-    values = (Column(name, format=".6g") for name in ("truth", "stored", "run again"))
-    notes = () if stored else ("The case has no stored row yet.",)
-    made = Table(f"Case {case_id}", (Column("what"), *values), rows, notes)
-    if file is None or study.kind != "flights":
-        return made
-    case = stored or study.plan().set_index("case_id").loc[case_id]
-    name = f"{study.name}, case {case_id}: {case['title']}"
-    flow = again.flown.draw.flow
-    truths = [part.length_scale for part in flow.cells] if flow is not None else []
-    estimate, estimator = again.estimate, study.estimator(case["candidate"])
-    figure = draw_estimate(estimate, estimator, list(again.flown.fleet[:1]), name, truths)
-    if file.suffix.lower() != ".html":
+    if study.kind == "flights":
+        case = stored or study.plan().set_index("case_id").loc[case_id]
+        flow, flights = again.flown.draw.flow, list(again.flown.fleet[:1])
+        truths = [part.length_scale for part in flow.cells] if flow is not None else []
+        title = f"{study.name}, case {case_id}: {case['title']}"
+        estimator = study.estimator(case["candidate"])
+        figure = draw_estimate(again.estimate, estimator, flights, title, truths)
         write_whole(file, encoded(figure, file.suffix.lower()))
-        return made
-    answer = f"{estimate.status}: {estimate.reason}".removesuffix(": ")
-    caption = (
-        "The track over the vorticity of the flow that was estimated, the weight of each candidate "
-        "scale, what that flow leaves of the velocity of the air, and its spectrum."
-    )
-    picture = drawing("case", Picture(figure, caption))
-    sections: dict[str, Sequence[Any]] = {"Picture": [picture], "Numbers": [made]}
-    write_whole(file, to_html(study.name, name, [answer], sections))
-    return made
+    values = (Column(name, format=".6g") for name in ("truth", "stored", "run again"))
+    return Table(f"Case {case_id}", (Column("what"), *values), rows)

@@ -137,17 +137,6 @@ class Difference:
         return not (self.low > 0.0 or self.high < 0.0)
 
 
-def best_probabilities(losses: Array) -> Array:
-    """Return how often each candidate has the least of losses (candidates, resamples), (c,).
-
-    Ties are shared.
-    """
-    judged = losses[:, ~np.isnan(losses).all(axis=0)]
-    least = np.nanmin(judged, axis=0)
-    is_least = judged <= least + ROUNDING * np.abs(least)
-    return np.asarray((is_least / is_least.sum(axis=0)).mean(axis=1))
-
-
 def ratio(numerator: Array, denominator: Array) -> tuple[float, float, float]:
     """Return the geometric mean of paired ratios (n,) and its 95 % interval over the pairs.
 

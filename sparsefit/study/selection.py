@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparsefit.errors import InputError, one_of, told_with
-from sparsefit.study import measures, resampling
+from sparsefit.study import measures
 from sparsefit.study.entries import factor_words
 from sparsefit.study.keys import CRITERIA
 from sparsefit.study.measures import factors
@@ -43,8 +43,7 @@ class Selection:
     ranked: a row a candidate, the best first: `candidate`, `title`, `reading` and `label` in words;
     `validate` and `evaluate`, the criterion on either split, `low` and `high` its 95 % interval on
     evaluate, `by_regime` (regimes,) there; `breaches`, what it does not keep on validate, `broken`
-    on evaluate; `best`, the probability over drawn units of validate that it is the best of those
-    that keep everything; `apart`, its loss less that of the chosen there; `within`, the margin.
+    on evaluate; `apart`, its loss on validate less that of the chosen; `within`, the margin.
     chosen: a row; None where no candidate keeps the constraints. regret: how much worse the chosen
     is on evaluate than `hindsight`, the best there of those that keep the constraints on validate.
     latencies: a row of the latency frame by candidate; refused: why others cannot be on board.
@@ -154,15 +153,12 @@ def select(
     limit = best + (rule.margin + ROUNDING) * abs(best) + criterion.measure.least
     within = [at for at in passing if first.loss[at] <= limit]
     chosen = min(within, default=None)  # the first listed is the simplest
-    shares = np.zeros(len(order))
-    if passing:
-        shares[passing] = resampling.best_probabilities(first.drawn[passing])
     places = range(len(order))
     values: dict[str, Any] = {
         "validate": criterion.sign * first.loss, "evaluate": criterion.sign * last.loss,
         "between": [last.score(at)[1] for at in places],
         "by_regime": list(criterion.by_regime(last.values)),
-        "breaches": breaches, "broken": broken, "best": shares,
+        "breaches": breaches, "broken": broken,
         "within": [at in within for at in places],
         "apart": [None if chosen in (None, at) else first.against(at, chosen) for at in places],
     }  # fmt: skip

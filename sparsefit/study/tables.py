@@ -206,25 +206,6 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
 }
 
 
-def fitting(cases: pd.DataFrame) -> list[str]:
-    """Return the names of the tables that have something to say about these cases."""
-    if "objective" in cases:
-        predicted = ["prediction"] if np.isfinite(numbers(cases, "holdout_error")).any() else []
-        raced = solver_times.is_race(cases) or not predicted
-        return [*predicted, *(["solvers"] * raced), "failed", *(["clock"] * raced)]
-    several = cases["flight"].nunique() > 1
-    flown = several and bool(measures.in_flow(cases).any())
-    says = {
-        "parameters": not several,
-        **{"summary": several, "status": several, "errors-absolute": flown, "errors": flown},
-        "efficiency": bool(measures.bounded(cases).any()),
-        "coverage": bool(np.isfinite(measures.parameters(cases, "low")).any()),
-        "scales": bool(np.isfinite(numbers(cases, "scales_missed")).any()),
-        "times": True,
-    }
-    return [name for name, holds in says.items() if holds]
-
-
 def table(study: Any, entry: str | Options) -> Table:
     """Return the table that an entry asks for, of the cases of a study.
 
@@ -242,7 +223,7 @@ def tables(
     import pandas as pd
 
     outputs, every = study.definition.outputs, dict[str, Table]()
-    for name, entry in entries.asked(study, "table", LAYOUTS, names, fitting(cases)):
+    for name, entry in entries.asked(study, "table", LAYOUTS, names, cases):
         if not isinstance(entry, Entry):
             made = entry(cases, pd.DataFrame, Table)
             made = made if isinstance(made, Table) else Table.of(made)

@@ -182,9 +182,9 @@ def test_show_runs_one_case_again_and_draws_it(capsys, finished):
     code, out, _ = run(capsys, "study", "show", finished, "--case", case)
     assert code == 0
     assert "run again" in out
-    drawn = Path(f"results/small/case-{case}.html")
+    drawn = Path(f"results/small/case-{case}.svg")
     assert f"written to {drawn}" in out
-    assert f"Case {case}" in drawn.read_text("utf-8")
+    assert drawn.read_text("utf-8").startswith("<?xml")
     options = ("--case", case, "--output", "one.svg", "--json")
     record = json.loads(run(capsys, "study", "show", finished, *options)[1])
     assert (record["case"], record["picture"]) == (case, "one.svg")
@@ -312,7 +312,7 @@ def test_results_of_another_study_are_refused(capsys, finished):
         ("run small.toml --results file", "choose another results folder"),
         ("run small.toml --processes 0", "at least 1"),
         ("show small.toml --table eror", 'did you mean "errors"?'),
-        ("show small.toml --case 0000 --output one.pdf", 'unknown file type ".pdf"'),
+        ("show small.toml --case 0000 --output one.html", 'unknown file type ".html"'),
         ("compare nowhere small.toml", "no such file"),
         ("compare small.toml small.toml --tolerance -1", "--tolerance must be"),
         ("merge small.toml folder", "holds no rows of small"),

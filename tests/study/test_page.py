@@ -95,11 +95,10 @@ class TestComparison:
     def test_the_same_run_did_not_change(self):
         made = compare(spread(flights=10), spread(flights=10), ("a", "b"))
         assert not made.differs
-        assert not made.worse
         assert made.sentence.startswith("0 of 20 cases changed, 0 of them in status")
-        assert [row[2] for row in made.tables["effects"].rows] == ["tie", "tie"]
+        assert made.tables["settings"].frame["changed"].tolist() == [0, 0]
 
-    def test_what_changed_and_whether_for_the_worse(self):
+    def test_what_changed(self):
         first, second = spread(flights=10), spread(flights=10)
         lasso = second["label"] == "lasso"
         second.loc[lasso, "est_timescale"] *= 1.2
@@ -107,10 +106,14 @@ class TestComparison:
         for cases in (first, second):
             cases["settings"] = [json.dumps({"a": 0, "threshold": n % 2}) for n in range(20)]
         made = compare(first, second, ("a", "b"))
-        assert made.worse
         assert made.sentence.startswith("11 of 20 cases changed, 1 of them in status")
-        verdicts = {row[:2]: row[2] for row in made.tables["effects"].rows}
-        assert verdicts["paper, lasso", "threshold=1"] == "worse"
+        rows = made.tables["settings"].frame.set_index(["label", "settings"])
+        worse = rows.loc[("lasso", '{"a": 0, "threshold": 1}')]
+        assert worse[["n", "changed", "lost"]].tolist() == [5, 5, 0]
+        assert worse["largest change [%]"] == pytest.approx(100 / 6)
+        before, after = (worse[f"mean |error| of τ_w [%], {name}"] for name in ("first", "second"))
+        assert after > before + 15.0
+        assert rows["lost"].sum() == 1
         assert len(made.tables["changes"].rows) == 11
         assert made.record()["changed"] == 11
 
@@ -120,7 +123,7 @@ class TestComparison:
         second.loc[second.index[0], names] = math.nan
         made = compare(spread(flights=10), second, ("a", "b"))
         assert math.isinf(made.cases["change"][0])
-        assert made.worse
+        assert made.record()["lost"] == 1
 
     def test_cases_of_one_run_alone_are_counted(self):
         made = compare(spread(flights=10), spread(flights=10).iloc[:-3], ("a", "b"))
@@ -135,10 +138,12 @@ class TestComparison:
         made = compare(solved(1.0), solved(1.5), ("a", "b"))
         assert not made.differs
         made = compare(solved(1.0), solved(1.0, 0.2), ("a", "b"))
-        effect = made.tables["effects"].frame.iloc[0]
-        assert effect[["setting", "verdict", "changed"]].tolist() == ["lasso, ours", "worse", 6]
-        name = "mean held-out error, of the target's variance, second − first [%]"
-        assert effect[name] == pytest.approx(10.0)
+        rows = made.tables["settings"].frame
+        assert rows["changed"].tolist() == [6]
+        name = "mean held-out error, of the target's variance [%], "
+        assert rows.loc[0, [f"{name}first", f"{name}second"]].tolist() == pytest.approx(
+            [12.5, 22.5]
+        )
 
     def test_runs_that_have_nothing_in_common_are_refused(self):
         other = spread(flights=10).assign(case_id=[f"x{n}" for n in range(20)])

@@ -70,12 +70,6 @@ def test_wilson_by_hand():
     assert wilson(9, 10) == pytest.approx((59.58, 98.21), abs=0.01)
 
 
-def test_probability_to_be_the_best_by_hand():
-    losses = np.array([[1.0, 2.0, 3.0, 1.0], [2.0, 1.0, 3.0, 2.0], [9.0, 9.0, 3.0, 9.0]])
-    expected = [(2 + 1 / 3) / 4, (1 + 1 / 3) / 4, 1 / 12]
-    assert resampling.best_probabilities(losses) == pytest.approx(expected)
-
-
 def test_ratios_by_hand():
     middle, low, high = ratio(np.array([2.0, 8.0, np.inf]), np.ones(3))
     assert middle == pytest.approx(4.0)
