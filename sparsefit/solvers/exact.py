@@ -25,14 +25,15 @@ from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
 from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import (
     BEGIN,
+    DESCENDED,
     KERNELS,
-    OnColumns,
+    STOP,
     Points,
-    Units,
     compiled,
     kernel_for,
+    path_on_gram,
 )
-from sparsefit.solvers.newton import Normal
+from sparsefit.solvers.newton import Columns
 from sparsefit.solvers.outliers import outlier_path
 
 FEW = 600  # columns that are all in play at once
@@ -40,6 +41,7 @@ START = 200  # columns in play at first
 SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
 AHEAD = 8  # penalties that are solved before all columns are asked
 NEAR = 0.1  # below alpha, where groups join that do not object yet
+ROUGH = 1e-5  # relative gap of descent that tells which groups join
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
 HELD = 2**25  # entries of the columns in play that are held as rows beside their products
 
@@ -49,40 +51,33 @@ class InPlay:
     """Columns in play: their indices (j,), B (j, q), Z_J'Z_J/m, and Z_J (m, j) where it is held.
 
     Where the columns are more than the rows, some kernels do without their products. store (s, m):
-    the columns, and room for those to come, which takes no memory before. Where blocks (k,) of all
-    columns are there, each block is turned into its principal columns, which keeps its norm: turns
-    have its places and the matrix.
+    the columns, and room for those to come, which takes no memory before. For descent each block is
+    turned into its principal columns, which keeps its norm: turns have its places and the matrix.
     """
 
     design: Design
     target: Array
+    penalty: Penalty
     index: IntArray
     cross: Array
     store: Array | None
     gram: Array | None
-    blocks: IntArray | None = None
-    turns: tuple[tuple[slice, Array], ...] = ()
-
-    @property
-    def rows(self) -> Array | None:
-        """Z_J (m, j), where it is held."""
-        return None if self.store is None else self.store[: len(self.index)].T
+    turns: tuple[tuple[slice, Array], ...] | None = None
 
     def joined(self, new: IntArray, cross: Array, by_gram: bool) -> InPlay:
         """With further columns, in whole blocks, behind those that there are; cross is Z'Y/m."""
-        if self.blocks is not None:
-            new = new[np.argsort(self.blocks[new], kind="stable")]
+        blocks, old, gram, turns = self.penalty.blocks, len(self.index), None, self.turns
+        new = new[np.argsort(blocks[new], kind="stable")]
         index, pull = np.concatenate([self.index, new]), np.concatenate([self.cross, cross[new]])
-        old, gram, turns = len(self.index), None, list(self.turns)
         store = self.store if self.design.shape[0] * len(index) <= HELD else None
         if store is not None:
             store[old : len(index)] = self.design.columns(new).T
-        if store is not None and self.blocks is not None:
-            ends = old + 1 + np.flatnonzero(np.diff(self.blocks[new], append=-1))
+        if store is not None and turns is not None:
+            ends = old + 1 + np.flatnonzero(np.diff(blocks[new], append=-1))
             for part in starmap(slice, pairwise([old, *ends.tolist()])):
                 turn = np.linalg.eigh(store[part] @ store[part].T)[1].T
                 store[part], pull[part] = turn @ store[part], turn @ pull[part]
-                turns.append((part, turn))
+                turns = (*turns, (part, turn))
         if by_gram and self.gram is not None:
             gram = np.empty((len(index), len(index)))
             gram[:old, :old] = self.gram
@@ -91,20 +86,23 @@ class InPlay:
             else:
                 gram[old:] = self.design.products(new, index)
             gram[:old, old:] = gram[old:, :old].T
-        sums = replace(self, index=index, cross=pull, store=store, gram=gram)
-        return replace(sums, turns=tuple(turns))
+        return replace(self, index=index, cross=pull, store=store, gram=gram, turns=turns)
 
     @property
-    def normal(self) -> Normal:
-        """The sums that Newton's method needs of them."""
-        return Normal(self.gram, self.rows, self.design.samples, self.target)
+    def sums(self) -> Columns:
+        """The sums that kernels need of them."""
+        part = self.penalty.restricted(self.index)
+        assert part is not None
+        rows = None if self.store is None else self.store[: len(self.index)].T
+        return Columns(part, self.cross, self.design.samples, self.gram, rows, self.target)
 
     def fitted(self, values: Array) -> Array:
         """Z_J V (m, q) of V (j, q)."""
-        if self.rows is not None:
+        if self.store is not None:
             on = np.flatnonzero(values.any(axis=1))
             few = 2 * len(on) < len(values)
-            out: Array = self.rows[:, on] @ values[on] if few else self.rows @ values
+            part = self.store[on] if few else self.store[: len(values)]
+            out: Array = part.T @ (values[on] if few else values)
             return out
         full = np.zeros((self.design.shape[1], values.shape[1]))
         full[self.index] = values
@@ -113,7 +111,7 @@ class InPlay:
     def back(self, values: Array) -> Array:
         """V (a, j, q) of the columns as they are, before they were turned."""
         out = values.copy()
-        for part, turn in self.turns:
+        for part, turn in self.turns or ():
             out[:, part] = turn.T @ values[:, part]
         return out
 
@@ -160,88 +158,74 @@ def _along(
     statistics: Statistics,
 ) -> Points:
     """The path of targets (m, q) that share the norm of each block."""
-    (k, q), count = cross.shape, len(alphas)
+    k, count = len(cross), len(alphas)
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples))
-    zero = Points(np.zeros((count, k, q)), np.ones(count, bool), np.zeros(count, np.intp), "zero")
     if level == 0.0 or not cross.any():
-        return zero
-    few_entries = design.kind == "sparse" and k > FEW and design.csc.nnz < 2**31
-    if few_entries and type(penalty) is AbsoluteValues and compiled("sweeps"):
+        return Points.zeros(count, cross, "zero")
+    sweeps = design.kind == "sparse" and k > FEW and design.csc.nnz < 2**31 and compiled("sweeps")
+    if sweeps and type(penalty) is AbsoluteValues:
         weights, complete, steps = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
         return Points(weights[:, :, None], complete, steps, "descent")
-    units = Units.of(penalty, cross, level)
-    single = len(alphas) < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
+    single = count < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
     if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:
-        normal = Normal(statistics.gram, None, design.samples)
-        name, on = kernel_for(penalty, q), OnColumns(normal, cross, penalty, units)
-        stretch = KERNELS[name](on, alphas, {BEGIN: np.zeros(cross.shape)})
-        words = f"{name}, all columns"
-        return Points(stretch.values, stretch.complete, stretch.steps, words)
-    start = START if k > FEW else START // 8
-    return _with_working_set(design, target, cross, penalty, alphas, units, start)
+        return path_on_gram(statistics.gram, cross, penalty, alphas, level**2)
+    own = penalty.in_units(level)
+    points = _with_working_set(design, target / level, cross / level, own, alphas / level)
+    return replace(points, weights=points.weights * level)
 
 
 def _with_working_set(
-    design: Design,
-    target: Array,
-    cross: Array,
-    penalty: Penalty,
-    alphas: Array,
-    units: Units,
-    start: int,
+    design: Design, target: Array, cross: Array, penalty: Penalty, alphas: Array
 ) -> Points:
-    """The path on the columns in play, ``start`` of them or more at first."""
+    """The path in units of the target on the columns in play, few of them at first."""
     (k, q), count, m = cross.shape, len(alphas), design.shape[0]
     name, pull = kernel_for(penalty, q), penalty.block_dual_norms(cross).max(axis=-1)
     # The whole blocks of the largest dual norms; of one block of all columns the largest |Z'Y|.
     pull = pull[penalty.blocks] if len(pull) > 1 else np.abs(cross).max(axis=1)
+    start = START if k > FEW else START // 8
     index = _whole(penalty, np.argsort(-pull, kind="stable"), start)
     # Sparse columns stay so.
     store = None if design.kind == "sparse" else np.empty((min(k, HELD // m), m))
-    descends = name == "variational" and store is not None and len(store) == k
-    empty = InPlay(
-        *(design, target, index[:0], cross[:0], store, np.zeros((0, 0))),
-        penalty.blocks if descends else None,
-    )
-    play = empty.joined(index, cross, True)
-    weights, complete = np.zeros((count, k, q)), np.zeros(count, bool)
-    steps, done, ahead = np.zeros(count, np.intp), 0, AHEAD
-    attempts = {BEGIN: np.zeros((len(index), q))}
+    whole = store is not None and len(store) == k
+    turns = () if name == "variational" and whole else None
+    play = InPlay(design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), turns)
+    play = play.joined(index, cross, True)
+    points = Points.zeros(count, cross)
+    done, attempts = 0, {BEGIN: np.zeros((len(index), q))}
     while done < count:
-        here, part = alphas[done : done + ahead], penalty.restricted(play.index)
-        assert part is not None
-        on = OnColumns(play.normal, play.cross, part, units)
-        stretch = KERNELS[name](on, here, attempts)
-        in_use = int(stretch.values.any(axis=2).any(axis=0).sum())
-        if descends and 3 * in_use > m:
-            name = "block descent"
+        here, descends = alphas[done : done + AHEAD], name == "block descent"
+        stops = (ROUGH, DESCENDED) if descends else (STOP,)
         near = NEAR if name in ("variational", "block descent") else 0.0
-        accepted, new = _objections(play, penalty, here, stretch.values, near)
+        for stop in stops:
+            stretch = KERNELS[name](play.sums, here, attempts, stop)
+            attempts |= dict(zip(here.tolist(), stretch.weights, strict=True))
+            accepted, new = _objections(play, here, stretch.weights, near)
+            if len(new):
+                break
+        if 3 * int(stretch.weights.any(axis=2).any(axis=0).sum()) > m and turns is not None:
+            name = "block descent"
+        accepted = 0 if stop == ROUGH else accepted
         until = done + accepted
-        weights[done:until, play.index] = play.back(stretch.values[:accepted])
-        complete[done:until] = stretch.complete[:accepted]
-        steps[done:until] = stretch.steps[:accepted]
+        points.weights[done:until, play.index] = play.back(stretch.weights[:accepted])
+        points.complete[done:until] = stretch.complete[:accepted]
+        points.steps[done:until] = stretch.steps[:accepted]
         done = until
-        ahead = min(AHEAD, 2 * ahead) if accepted == len(here) else max(accepted, 1)
-        attempts |= dict(zip(here.tolist(), stretch.values, strict=True))
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
         if len(new):
-            wide = store is not None and len(store) == k and len(play.index) + len(new) > m
+            wide = whole and len(play.index) + len(new) > m
             in_rows = name == "block descent" or (name == "newton" and wide)
             play = play.joined(new, cross, not in_rows)
-    return Points(weights, complete, steps, f"{name}, {len(play.index)} columns in play")
+    return replace(points, words=f"{name}, {len(play.index)} columns in play")
 
 
-def _objections(
-    play: InPlay, penalty: Penalty, alphas: Array, values: Array, near: float
-) -> tuple[int, IntArray]:
+def _objections(play: InPlay, alphas: Array, values: Array, near: float) -> tuple[int, IntArray]:
     """The penalties before the first at which a column outside objects, and those to join.
 
     values (a, j, q) at alphas (a,). With the columns that object join those as ``near`` to it, a
     share of alpha.
     """
-    count, size, q = values.shape
+    (count, size, q), penalty = values.shape, play.penalty
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
     residual = np.tile(play.target, (1, count)) - play.fitted(flat)
     pulls = play.design.correlate(residual)
@@ -337,10 +321,7 @@ def _root_path(
     inner = replace(penalty, loss=SQUARES)
     cross, slope = statistics.cross, (alphas / level) ** 2
     if not cross.any():
-        steps = np.zeros(len(alphas), np.intp)
-        return Points(
-            np.zeros((len(alphas), *cross.shape)), np.ones(len(alphas), bool), steps, "zero"
-        )
+        return Points.zeros(len(alphas), cross, "zero")
     largest = float(penalty.dual_norm(cross).max())
     least = (NEAREST * largest) ** 2
     x = np.maximum(np.minimum(alphas, largest) ** 2, least)

@@ -109,6 +109,6 @@ def _weighted(problem: RegressionProblem, slopes: Array, alpha: float) -> Array:
         numbers = np.unique(groups[bound], return_inverse=True)[1]
         penalty = GroupNorms(numbers, slopes[slopes > 0.0])
         path = path_on_gram(*rest, penalty, np.array([alpha]), square)
-        values[bound] = path.values[0]
+        values[bound] = path.weights[0]
     values[loose] = half @ (load - shared @ values[bound])
     return values

@@ -36,15 +36,18 @@ SHIFT = 1e-13  # of unit columns, where clusters are more than samples
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
-    """G of the columns in play: as a matrix (j, j), or by the rows Z_J (m, j) where it is None.
+class Columns:
+    """Columns in play in units of the target, |Y|^2/m = 1: their sums, and the penalty on them.
 
-    target Y (m, q): for what works on the residual.
+    cross B (j, q); G as a matrix (j, j), or by the rows Z_J (m, j) where it is None; target Y
+    (m, q): for what works on the residual.
     """
 
-    gram: Array | None
-    rows: Array | None
+    penalty: Penalty
+    cross: Array
     samples: int
+    gram: Array | None
+    rows: Array | None = None
     target: Array | None = None
 
     def times(self, values: Array) -> Array:
@@ -90,7 +93,7 @@ class Normal:
 
 def definite(matrix: Array, right: Array) -> Array | None:
     """The solution of a positive definite system; None where rounding made it none."""
-    from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
+    from scipy.linalg.lapack import dposv
 
     _, solution, failed = dposv(matrix.T, right, lower=1)
     return None if failed else solution
@@ -104,58 +107,54 @@ def _nearest(matrix: Array, right: Array) -> Array:
     return solution
 
 
-def settled(
-    normal: Normal, cross: Array, penalty: Penalty, alpha: float, values: Array, goal: float
-) -> tuple[Array, float, int]:
+def settled(on: Columns, alpha: float, values: Array, goal: float) -> tuple[Array, float, int]:
     """The optimum (j, q) at one penalty from any values, its relative gap, and Newton's steps.
 
-    cross B (j, q); a gap above ``goal`` tells that proximal points no longer lower it.
+    A gap above ``goal`` tells that proximal points no longer lower it.
     """
     best, least, waited, steps, step = values, np.inf, 0, 0, FIRST
     for _ in range(OUTER):
-        correlation = cross - normal.times(values)
-        gap = relative_gap(values, correlation, cross, penalty, alpha)
+        correlation = on.cross - on.times(values)
+        gap = relative_gap(on, alpha, values, correlation)
         waited = 0 if gap < 0.5 * least else waited + 1
         if gap < least:
             best, least = values, gap
         if least <= goal or waited > PATIENCE:
             break
         enough = max(1e-27, 1e-6 * least / step)
-        start = values, correlation
-        values, taken = _proximal_point(normal, cross, penalty, alpha, start, step, enough)
+        values, taken = _proximal_point(on, alpha, values, correlation, step, enough)
         steps += taken
         step = min(step * (10.0 if taken <= 6 else 2.0 if taken <= 12 else 0.5), LARGEST)
     return best, least, steps
 
 
-def relative_gap(
-    values: Array, correlation: Array, cross: Array, penalty: Penalty, alpha: float
-) -> float:
-    """(primal - dual) / (|Y|^2 / 2m) as the certificate has it, for a target of |Y|^2/m = 1."""
-    product, ridge = 1.0 - float(np.vdot(values, cross)), alpha * penalty.ridge
+def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -> float:
+    """(primal - dual) / (|Y|^2 / 2m) as the certificate has it, at V and its C."""
+    penalty = on.penalty
+    product, ridge = 1.0 - float(np.vdot(values, on.cross)), alpha * penalty.ridge
     square = max(product - float(np.vdot(values, correlation)), 0.0)
     primal = 0.5 * square + alpha * float(penalty.value(values))
     if ridge:
         correlation = correlation - ridge * values
         square += ridge * float(np.vdot(values, values))
-    peak = float(penalty.constraint(correlation).max(initial=0.0))
-    limit = alpha / peak if peak > 0 else np.inf
-    s = min(max(product / square if square > 0 else 0.0, -limit), limit)
+    s = dual_share(product, square, float(penalty.constraint(correlation).max(initial=0.0)), alpha)
     dual = s * product - 0.5 * s * s * square
     return 2.0 * max(primal - dual + float(penalty.excess(s * correlation, np.array(alpha))), 0.0)
 
 
+def dual_share(product: float, square: float, peak: float, alpha: float) -> float:
+    """The s of the best dual point s R/m, of <R, Y>/m, |R|^2/m and the dual norm of Z'R/m."""
+    limit = alpha / peak if peak > 0 else np.inf
+    return min(max(product / square if square > 0 else 0.0, -limit), limit)
+
+
 def _proximal_point(
-    normal: Normal,
-    cross: Array,
-    penalty: Penalty,
-    alpha: float,
-    origin: tuple[Array, Array],
-    step: float,
-    enough: float,
+    on: Columns, alpha: float, start: Array, correlation: Array, step: float, enough: float
 ) -> tuple[Array, int]:
-    """P for V and its C (``origin``), until F'G F <= enough, and the Newton steps that it took."""
-    start, correlation = origin
+    """P for V and its C, until F'G F <= enough, and the Newton steps that it took."""
+    from scipy.sparse import eye_array  # who reads an estimator need not wait for it
+
+    penalty = on.penalty
     shrink = 1.0 / (1.0 + step * alpha * penalty.ridge)  # the ridge's part of the prox
     inner = step * alpha * shrink
     x, targets = start, start.shape[1]
@@ -163,26 +162,27 @@ def _proximal_point(
     def at(x: Array, correlation: Array) -> tuple[Array, Array, float]:
         pull = start + step * correlation
         point = penalty.prox(pull * shrink, inner)
-        height = 0.5 * float(np.vdot(x, cross - correlation)) - alpha * float(penalty.value(point))
+        height = 0.5 * float(np.vdot(x, on.cross - correlation)) - alpha * float(
+            penalty.value(point)
+        )
         height += (float(np.vdot(pull, point)) - 0.5 * float(np.vdot(point, point))) / step
         return pull, point, height
 
     pull, point, height = at(x, correlation)
     for count in range(INNER):
         residual = point - x
-        pulled = normal.times(residual)
+        pulled = on.times(residual)
         if not float(np.vdot(residual, pulled)) > enough:
             return point, count
-        on, factor = penalty.slope(pull * shrink, point, inner)
+        live, factor = penalty.slope(pull * shrink, point, inner)
         move, moved = residual, pulled
-        if len(on):
+        if len(live):
             if shrink != 1.0:
-                root = np.sqrt(shrink)
-                factor = _diagonal(len(on), root) if factor is None else factor * root
+                factor = np.sqrt(shrink) * (eye_array(len(live)) if factor is None else factor)
             back = np.zeros(residual.size)
-            back[on] = normal.solved(on, factor, pulled.ravel()[on], step, targets)
+            back[live] = on.solved(live, factor, pulled.ravel()[live], step, targets)
             less = back.reshape(residual.shape)
-            move, moved = residual - less, pulled - normal.times(less)
+            move, moved = residual - less, pulled - on.times(less)
         fall = float(np.vdot(residual, moved))
         if not fall > 0.0:
             return point, count
@@ -198,31 +198,25 @@ def _proximal_point(
         x, correlation = there, correlation - share * moved
         pull, point, height = after
         if count % 8 == 7:
-            correlation = cross - normal.times(x)
+            correlation = on.cross - on.times(x)
     return point, INNER
 
 
-def _diagonal(size: int, value: float) -> object:
-    from scipy.sparse import diags_array
-
-    return diags_array(np.full(size, value)).tocsc()
-
-
-def towards_clusters_optimum(
-    gram: Array, cross: Array, penalty: SortedNorm, alpha: float, values: Array
-) -> tuple[Array, bool]:
+def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[Array, bool]:
     """From V (j, 1) towards the optimum for its signs and clusters, until two meet; whether so."""
+    assert on.gram is not None
+    assert isinstance(on.penalty, SortedNorm)
     size = np.abs(values[:, 0])
     order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]
     if not len(order):
         return values, False
     sign, first = np.sign(values[order, 0]), np.flatnonzero(np.diff(size[order], prepend=-1.0))
-    square = gram.take(order, 0).take(order, 1) * np.multiply.outer(sign, sign)
+    square = on.gram.take(order, 0).take(order, 1) * np.multiply.outer(sign, sign)
     square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
     counts = np.diff(first, append=len(order))
     square.flat[:: len(square) + 1] += SHIFT * counts
-    price = alpha * penalty.weights[: len(order)]
-    levels = definite(square, np.add.reduceat(sign * cross[order, 0] - price, first))
+    price = alpha * on.penalty.weights[: len(order)]
+    levels = definite(square, np.add.reduceat(sign * on.cross[order, 0] - price, first))
     if levels is None:
         return values, False
     # Of each cluster above the next smaller one, from the smallest.

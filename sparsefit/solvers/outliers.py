@@ -19,7 +19,7 @@ from sparsefit.regression.design import Design
 from sparsefit.regression.losses import SQUARES
 from sparsefit.regression.penalties import Penalty, Slope, soft
 from sparsefit.solvers.kernels import STOP, Points
-from sparsefit.solvers.newton import Normal, settled
+from sparsefit.solvers.newton import Columns, settled
 
 MOST = 20_000  # rows and columns together, whose squares are formed
 
@@ -91,12 +91,12 @@ def outlier_path(design: Design, target: Array, penalty: Penalty, alphas: Array)
         if unit == 0.0:
             continue
         cross = wide.T @ target[:, part] / samples / unit
-        values, normal = np.zeros(cross.shape), Normal(None, wide, samples)
+        values = np.zeros(cross.shape)
         inner, bound = plain.in_units(unit), float(bounds[part].min())
         for i, alpha in enumerate((alphas / unit).tolist()):
             price = bound * root / (samples * unit * alpha)
-            outer = WithOutliers(inner, m, price)
-            values, gap, count = settled(normal, cross, outer, alpha, values, STOP)
+            on = Columns(WithOutliers(inner, m, price), cross, samples, None, wide)
+            values, gap, count = settled(on, alpha, values, STOP)
             weights[i, :, part] = values[:k] * unit
             complete[i] &= gap <= STOP
             steps[i] += count

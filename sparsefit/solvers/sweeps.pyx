@@ -77,56 +77,62 @@ def descend_groups(
     const double[::1] limits,
     const double[::1] square,
     double samples,
-    double[:, ::1] residual,
-    double[:, ::1] values,
+    double[:, :, ::1] values,
+    double[:, :, ::1] residuals,
 ):
-    """Sweep once over some groups: group g has the columns starts[g] to starts[g + 1] of z (m, j).
+    """Sweep over some groups: group g has the columns starts[g] to starts[g + 1] of z (m, j).
 
-    The columns of a group are orthogonal, with square (j,) z_i'z_i/m. limits: alpha w (g,).
-    residual (q, m) and values (q, j) are worked on in place. With a_i = sum_t pull_ti^2, the norm n
-    of a group's optimum, v_i = n pull_i / (d_i n + limit), is the root of
-    1/sqrt(sum_i a_i / (d_i n + limit)^2) = 1, which is concave in n: Newton's method climbs to it.
+    The columns of a group are orthogonal, with square (j,) z_i'z_i/m. limits: alpha w (g,). Each
+    sweep makes the next of values (s, q, j) and residuals (s, q, m) of those before, the first of
+    which are given. With a_i = sum_t pull_ti^2, the norm n of a group's optimum,
+    v_i = n pull_i / (d_i n + limit), is the root of 1/sqrt(sum_i a_i / (d_i n + limit)^2) = 1,
+    which is concave in n: Newton's method climbs to it.
     """
-    cdef double[:, ::1] pull = np.empty((residual.shape[0], np.diff(starts).max()))
+    cdef double[:, ::1] pull = np.empty((values.shape[1], np.diff(starts).max()))
+    cdef double[:, ::1] value, residual
     cdef int m = z.shape[0], size, one = 1
     cdef Py_ssize_t j, g
     cdef double total, slope, norm, rise, share, limit, move
     cdef double per = 1.0 / samples, unit = 1.0, zero = 0.0
     cdef double *block
-    for place in range(groups.shape[0]):
-        g = groups[place]
-        j, size, limit = starts[g], starts[g + 1] - starts[g], limits[g]
-        total, norm, block = 0.0, 0.0, <double *>&z[0, j]
-        for t in range(residual.shape[0]):
-            dgemv(
-                "T", &m, &size, &per, block, &m, &residual[t, 0], &one, &zero, &pull[t, 0], &one
-            )
-            for i in range(size):
-                pull[t, i] += square[j + i] * values[t, j + i]
-                total += pull[t, i] * pull[t, i]
-        for _ in range(NEWTON if total > limit * limit else 0):
-            total = slope = 0.0
-            for t in range(residual.shape[0]):
-                for i in range(size):
-                    share = 1.0 / (square[j + i] * norm + limit)
-                    rise = pull[t, i] * pull[t, i] * share * share
-                    total += rise
-                    slope += rise * share * square[j + i]
-            rise = total * (sqrt(total) - 1.0) / slope if slope > 0.0 else 0.0
-            norm += max(rise, 0.0)
-            if not rise > EXACT * norm:
-                break
-        for t in range(residual.shape[0]):
-            move = 0.0
-            for i in range(size):
-                share = norm / (square[j + i] * norm + limit) if norm > 0.0 else 0.0
-                pull[t, i] = values[t, j + i] - share * pull[t, i]
-                values[t, j + i] -= pull[t, i]
-                move += fabs(pull[t, i])
-            if move != 0.0:
+    for sweep in range(1, values.shape[0]):
+        value, residual = values[sweep], residuals[sweep]
+        value[:], residual[:] = values[sweep - 1], residuals[sweep - 1]
+        for place in range(groups.shape[0]):
+            g = groups[place]
+            j, size, limit = starts[g], starts[g + 1] - starts[g], limits[g]
+            total, norm, block = 0.0, 0.0, <double *>&z[0, j]
+            for t in range(value.shape[0]):
                 dgemv(
-                    "N", &m, &size, &unit, block, &m, &pull[t, 0], &one, &unit, &residual[t, 0], &one
+                    "T", &m, &size, &per, block, &m, &residual[t, 0], &one, &zero, &pull[t, 0], &one
                 )
+                for i in range(size):
+                    pull[t, i] += square[j + i] * value[t, j + i]
+                    total += pull[t, i] * pull[t, i]
+            for _ in range(NEWTON if total > limit * limit else 0):
+                total = slope = 0.0
+                for t in range(value.shape[0]):
+                    for i in range(size):
+                        share = 1.0 / (square[j + i] * norm + limit)
+                        rise = pull[t, i] * pull[t, i] * share * share
+                        total += rise
+                        slope += rise * share * square[j + i]
+                rise = total * (sqrt(total) - 1.0) / slope if slope > 0.0 else 0.0
+                norm += max(rise, 0.0)
+                if not rise > EXACT * norm:
+                    break
+            for t in range(value.shape[0]):
+                move = 0.0
+                for i in range(size):
+                    share = norm / (square[j + i] * norm + limit) if norm > 0.0 else 0.0
+                    pull[t, i] = value[t, j + i] - share * pull[t, i]
+                    value[t, j + i] -= pull[t, i]
+                    move += fabs(pull[t, i])
+                if move != 0.0:
+                    dgemv(
+                        "N", &m, &size, &unit, block, &m, &pull[t, 0], &one, &unit,
+                        &residual[t, 0], &one,
+                    )
 
 
 cdef class Clusters:

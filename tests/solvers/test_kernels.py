@@ -9,8 +9,8 @@ from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import exact, kernels
-from sparsefit.solvers.kernels import BEGIN, KERNELS, OnColumns, Units, kernel_for
-from sparsefit.solvers.newton import Normal, settled
+from sparsefit.solvers.kernels import BEGIN, KERNELS, STOP, kernel_for
+from sparsefit.solvers.newton import Columns, settled
 
 homotopy = pytest.importorskip("sparsefit.solvers.homotopy", reason="it was not compiled")
 variances = pytest.importorskip("sparsefit.solvers.variances", reason="it was not compiled")
@@ -38,14 +38,13 @@ def problem(seed, samples=40, targets=1, correlated=True):
 
 def path_of(z, y, penalty, alphas, stretches):
     """The path of a kernel that is asked for stretches of it, in turn."""
-    normal, cross = Normal(z.T @ z / len(z), z, len(z)), z.T @ y / len(z)
-    on = OnColumns(normal, cross, penalty, Units.of(penalty, cross, 1.0))
-    kernel, attempts, parts = KERNELS[kernel_for(penalty, y.shape[1])], {BEGIN: 0.0 * cross}, []
+    on = Columns(penalty, z.T @ y / len(z), len(z), z.T @ z / len(z), z)
+    kernel, attempts, parts = KERNELS[kernel_for(penalty, y.shape[1])], {BEGIN: 0.0 * on.cross}, []
     for part in np.array_split(alphas, stretches):
-        parts.append(kernel(on, part, attempts))
-        attempts = {float(part[-1]): parts[-1].values[-1]}
+        parts.append(kernel(on, part, attempts, STOP))
+        attempts = {float(part[-1]): parts[-1].weights[-1]}
     assert all(part.complete.all() for part in parts)
-    return np.concatenate([part.values for part in parts])
+    return np.concatenate([part.weights for part in parts])
 
 
 @pytest.mark.parametrize("kind", PENALTIES)
@@ -57,10 +56,10 @@ def test_going_on_is_going_at_once_and_compiled_is_generic(kind, seed):
     alphas = float(penalty.dual_norm(cross).max()) * np.geomspace(1.0, 3e-3, 9)
     values = path_of(z, y, penalty, alphas, 1)
     np.testing.assert_allclose(path_of(z, y, penalty, alphas, 4), values, atol=1e-5)
-    normal = Normal(z.T @ z / len(z), z, len(z))
+    on = Columns(penalty, cross, len(z), z.T @ z / len(z), z)
     for alpha, point in zip(alphas[3::5], values[3::5], strict=True):
         start = np.zeros(cross.shape)
-        generic, gap, _ = settled(normal, cross, penalty, float(alpha), start, 1e-13)
+        generic, gap, _ = settled(on, float(alpha), start, 1e-13)
         assert gap < 1e-9
         np.testing.assert_allclose(point, generic, atol=2e-4)
 
