@@ -33,7 +33,7 @@ from sparsefit.solvers.kernels import (
     kernel_for,
     path_on_gram,
 )
-from sparsefit.solvers.newton import Columns
+from sparsefit.solvers.newton import Columns, definite
 from sparsefit.solvers.outliers import outlier_path
 
 FEW = 600  # columns that are all in play at once
@@ -132,7 +132,7 @@ def exact_path(
     if isinstance(penalty.loss, RootSquares):
         return _root_path(design, target, penalty, alphas, statistics)
     if np.isfinite(penalty.loss.clip):
-        return outlier_path(design, target, penalty, alphas)
+        return outlier_path(design, target, statistics.cross, penalty, alphas)
     if isinstance(penalty, SquaredNorm):
         return _ridge_path(design, target, penalty, alphas, statistics)
     targets = target.shape[1]
@@ -222,39 +222,24 @@ def _with_working_set(
 def _objections(play: InPlay, alphas: Array, values: Array, near: float) -> tuple[int, IntArray]:
     """The penalties before the first at which a column outside objects, and those to join.
 
-    values (a, j, q) at alphas (a,). With the columns that object join those as ``near`` to it, a
-    share of alpha.
+    values (a, j, q) at alphas (a,). Those that object to the first three points join, and those as
+    ``near`` to it, a share of alpha.
     """
     (count, size, q), penalty = values.shape, play.penalty
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
     residual = np.tile(play.target, (1, count)) - play.fitted(flat)
-    pulls = play.design.correlate(residual)
-    pulls = pulls.reshape(len(pulls), count, q).transpose(1, 0, 2)
-    full = np.zeros((len(penalty.blocks), q))
-    joining: list[IntArray] = []
-    first = count
-    for i in range(count):
+    pulls = play.design.correlate(residual).reshape(-1, count, q).transpose(1, 0, 2)
+    full, excess = np.zeros(pulls.shape[1:]), np.empty(pulls.shape[:2])
+    for i, alpha in enumerate(alphas.tolist()):
         full[play.index] = values[i]
-        excess = penalty.objections(pulls[i], full, float(alphas[i]))
-        excess[play.index] = -2.0
-        objecting = np.flatnonzero(excess > FEASIBLE)
-        if not len(objecting):
-            continue
-        if not joining:
-            first = i
-        if near:
-            objecting = np.flatnonzero(excess > -near)
-        joining.append(objecting[np.argsort(-excess[objecting], kind="stable")])
-        if len(joining) == 3:
-            break
-    if not joining:
+        excess[i] = penalty.objections(pulls[i], full, alpha)
+    excess[:, play.index] = -2.0
+    objecting = np.flatnonzero((excess > FEASIBLE).any(axis=1))
+    if not len(objecting):
         return count, np.zeros(0, dtype=np.intp)
-    most = max(size if near else size // 2, START // 4)
-    new = joining[0]
-    for later in joining[1:]:
-        if len(new) < most:
-            new = np.concatenate([new, np.setdiff1d(later, new, assume_unique=True)])
-    return first, _whole(penalty, new, most)
+    worst = excess[objecting[:3]].max(axis=0)
+    new = np.argsort(-worst, kind="stable")[: np.count_nonzero(worst > (-near or FEASIBLE))]
+    return int(objecting[0]), _whole(penalty, new, max(size if near else size // 2, START // 4))
 
 
 def _whole(penalty: Penalty, columns: IntArray, most: int) -> IntArray:
@@ -278,23 +263,23 @@ def _ridge_path(
     statistics: Statistics,
 ) -> Points:
     """(G + mu I)^-1 Z'Y/m at each mu = alpha rho, by the smaller of Z'Z and Z Z'."""
-    from scipy.linalg.lapack import dposv  # who reads an estimator need not wait for it
-
     (m, k), rows, cross = design.shape, None, statistics.cross
     if k <= m:
         square, right = statistics.gram, cross
     else:
         rows = design.columns(np.arange(k))
         square, right = rows @ rows.T / design.samples, target
-    weights, complete = np.zeros((len(alphas), *cross.shape)), np.ones(len(alphas), bool)
+    points = Points.zeros(len(alphas), cross, "cholesky")
+    points.steps[:] = 1
     for i, alpha in enumerate(alphas.tolist()):
         shifted = square.copy()
         shifted.flat[:: len(square) + 1] += alpha * penalty.ridge
-        _, values, failed = dposv(shifted.T, right, lower=1, overwrite_a=1)
-        if failed:  # alpha is lost beside G in rounding: the least squares of least norm
-            values, complete[i] = np.linalg.lstsq(square, right, rcond=None)[0], False
-        weights[i] = values if rows is None else rows.T @ values / design.samples
-    return Points(weights, complete, np.ones(len(alphas), np.intp), "cholesky")
+        solved = definite(shifted, right)
+        points.complete[i] = solved is not None
+        if solved is None:  # alpha is lost beside G in rounding: the least squares of least norm
+            solved = np.asarray(np.linalg.lstsq(square, right, rcond=None)[0])
+        points.weights[i] = solved if rows is None else rows.T @ solved / design.samples
+    return points
 
 
 NEAREST = 1e-11  # of the largest penalty: the smallest t that is asked for

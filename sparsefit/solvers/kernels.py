@@ -93,7 +93,8 @@ def homotopy(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Poi
         walk.start(attempts[last][:, 0] / scale, last / unit)
     values, complete = np.zeros((len(alphas), len(omega))), np.zeros(len(alphas), bool)
     with np.errstate(all="ignore"):
-        walk.advance(alphas / unit, values, complete)
+        # Rounding must let no column in at alpha_max.
+        walk.advance(alphas / unit * (1.0 + 1e-15), values, complete)
     steps, values = np.zeros(len(alphas), np.intp), (values * scale)[:, :, None]
     steps[-1] = walk.steps
     for i in np.flatnonzero(~complete):  # on columns that nearly depend on each other
