@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,10 +35,8 @@ RUN = (
     Option("--retry-failed", "compute cases again that ended as error, timeout or crashed",
            read=None),
     Option("--stale", "compute cases again that other code than this has computed", read=None),
-    Option("--executor", "where cases run: processes of this machine (default), or workers of "
-           "dask (an extra)", extra={"choices": ("processes", "dask"), "default": "processes"}),
-    Option("--scheduler", "of dask, tcp://host:8786 say; default: a cluster of N processes on "
-           "this machine", "ADDRESS"),
+    Option("--scheduler", "of dask (an extra), tcp://host:8786 say, whose workers compute in place "
+           "of processes of this machine", "ADDRESS"),
     Option("--only", "compute no case but those of this back-end, label, protocol, problem or "
            "solver (* for any letters) or case id; repeat it for more", "NAME", extra=REPEATED),
 )  # fmt: skip
@@ -161,7 +158,7 @@ def run_study(args: argparse.Namespace) -> Reply:
     again = "without --fresh to continue" if args.fresh else "again to continue"
     args.stopped = f"stopped; run the same command {again}"
     study = _checked(args)
-    names = ("processes", "fresh", "retry_failed", "stale", "only", "executor", "scheduler")
+    names = ("processes", "fresh", "retry_failed", "stale", "only", "scheduler")
     with terminal.Progress() as progress:
         summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
     _warn(summary.dropped, "no longer planned by the study, and left out")
@@ -321,6 +318,6 @@ def merge(args: argparse.Namespace) -> Reply:
     rest = f"{now.planned - now.done} left to run: sparsefit study run {args.study}"
     state = "finished" if now.finished else rest
     lines.append(f"{now.folder}: {now.done} of {now.planned} cases, {state}")
-    parts = [{**asdict(part), "folder": str(part.folder)} for part in merged]
+    parts = [{**part._asdict(), "folder": str(part.folder)} for part in merged]
     record = {"study": study.name, "folder": str(now.folder), "planned": now.planned}
     return Reply(record | {"done": now.done, "parts": parts}, lines)

@@ -30,7 +30,7 @@ from sparsefit.study.holdout import FOLDS, cross_validated, missed, recovered, s
 from sparsefit.study.keys import Clock
 from sparsefit.study.plan import Asking
 from sparsefit.study.problem_desk import Contender, own_fraction, small_problem, write_data
-from sparsefit.study.worker import Answer, Ask
+from sparsefit.study.worker import Answer, Ask, disturbed
 
 JUDGE = "judge"
 READY_SECONDS = 120.0  # to copy arrays
@@ -73,7 +73,7 @@ class Repeats:
 
     def columns(self, clock: Clock) -> dict[str, Value]:
         """Medians, intervals, whether the median of the wall is known as well as asked for, and
-        whether the wall ran ahead of the CPU, which says nothing below a millisecond.
+        whether the wall ran ahead of the CPU.
         """
         wall, low, high = median_interval(self.seconds["wall"])
         cpu, *ends = median_interval(self.seconds["cpu"])
@@ -82,7 +82,7 @@ class Repeats:
             **{"cpu": cpu, "cpu_low": ends[0], "cpu_high": ends[1]},
             "repeats": len(self.seconds["wall"]),
             "known": high - low <= 2.0 * clock.precision * wall,
-            "disturbed": wall > 1e-3 and wall > 1.2 * cpu,
+            "disturbed": disturbed(wall, cpu),
         }
 
 
@@ -176,7 +176,7 @@ class Arena:
         """The first solve, which is judged, and timed where it was too long to only warm up."""
         if case.contender.missing:
             raise Over("skipped", case.contender.missing)
-        case.values["load"] = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
+        case.values["load"] = os.getloadavg()[0]
         for other in cases:
             looser = other.number == case.number and other.tolerance > case.tolerance
             if looser and other.status == "timeout":

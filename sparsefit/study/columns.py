@@ -84,12 +84,6 @@ def body_of(values: Mapping[str, Value | None]) -> str:
     return json.dumps(content, separators=(",", ":"))
 
 
-def read_body(body: str) -> dict[str, Any]:
-    """The values of `body_of`."""
-    values: dict[str, Any] = json.loads(body)
-    return values
-
-
 def outcome_of(
     unit: int, cell: int, status: Any, reason: Any, body: str, kinds: Mapping[str, Kind]
 ) -> Outcome:
@@ -98,7 +92,7 @@ def outcome_of(
     Raises:
         ValueError, TypeError, LookupError: a status, a column or a value that there is not.
     """
-    values = read_body(body)
+    values: dict[str, Any] = json.loads(body)
     if status not in STATUSES or not isinstance(reason, str):
         raise ValueError(f"a status that there is not: {status!r}"[:80])
     reason.encode()

@@ -9,9 +9,7 @@ several workers are tried one by one, and one that does it again is `crashed`.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import ExitStack
 from itertools import islice
-from typing import Any
 
 from sparsefit.errors import InputError, described, optional
 from sparsefit.study.columns import Outcome
@@ -20,24 +18,24 @@ from sparsefit.study.pool import outcomes
 
 
 def outcomes_on_dask(
-    scheduler: str | None,
+    scheduler: str,
     experiment: Experiment,
     batches: Iterable[Batch],
-    processes: int,
     idle: Callable[[float], None],
 ) -> Generator[Outcome, None, None]:
-    """Every cell of every batch, as its task ends.
-
-    scheduler: its address, or None for a cluster of ``processes`` workers on this machine, which
-    ends with the run.
+    """Every cell of every batch, as its task ends, from the scheduler at an address.
 
     Raises:
         MissingExtra: dask is not installed.
         InputError: the scheduler cannot be reached, or has no workers.
     """
-    dask = optional("distributed", "dask is not installed, leave --executor out or", "dask")
-    with ExitStack() as stack:
-        client = _client(dask, scheduler, processes, stack)
+    dask = optional("distributed", "dask is not installed, leave --scheduler out or", "dask")
+    try:
+        connected = dask.Client(scheduler, timeout=10.0)
+    except (OSError, ValueError) as error:
+        cause = described(error)
+        raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None
+    with connected as client:
         hands = sum(client.nthreads().values())
         if not hands:
             raise InputError(f"the dask scheduler {scheduler} has no workers yet: start some first")
@@ -77,14 +75,3 @@ def outcomes_on_dask(
 def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[Outcome]:
     """On a dask worker: the outcomes of batches, from a process that can be killed."""
     return list(outcomes(experiment, iter(batches), 1))
-
-
-def _client(dask: Any, scheduler: str | None, processes: int, stack: ExitStack) -> Any:
-    if scheduler is None:
-        how = {"threads_per_worker": 1, "dashboard_address": None, "processes": True}
-        scheduler = stack.enter_context(dask.LocalCluster(n_workers=processes, **how))
-    try:
-        return stack.enter_context(dask.Client(scheduler, timeout=10.0))
-    except (OSError, ValueError) as error:
-        cause = described(error)
-        raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None

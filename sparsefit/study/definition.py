@@ -103,7 +103,7 @@ class Definition:
     question: str
     seed: int
     hash: str
-    run: RunRule
+    rules: RunRule
     outputs: Outputs
     selection: SelectionRule
     design: FlightDesign | ProblemDesign
@@ -169,7 +169,7 @@ def definition_of(document: Section, path: str) -> Definition:
         question=heading.question,
         seed=heading.seed,
         hash=hashlib.sha256(canonical_json(content).encode()).hexdigest(),
-        run=run,
+        rules=run,
         outputs=outputs,
         selection=selection,
         design=design,

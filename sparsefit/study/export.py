@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import json
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
 
 from sparsefit.errors import InputError, is_real
-from sparsefit.study.columns import body_of, kinds_of, read_body
+from sparsefit.study.columns import body_of, kinds_of
 from sparsefit.study.manifest import MANIFEST, check_whole, read_record
 from sparsefit.study.plan import Plan
 from sparsefit.whole_file import whole_file
@@ -131,7 +132,7 @@ def cases_table(plan: Plan, planned: Mapping[str, Sequence[Any]], rows: Sequence
     """Rows of `cases.parquet`: of the plan, of the row or of its body; then swept factors."""
     import pyarrow as pa
 
-    bodies = [read_body(row.body) for row in rows]
+    bodies = [json.loads(row.body) for row in rows]
     places = [plan.place_of[row.key] for row in rows]
     arrays: dict[str, Any] = {}
     for column in plan.experiment.columns:

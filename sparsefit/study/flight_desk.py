@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit import Estimator, Library, PointMassVehicle, backends
-from sparsefit.errors import InputError, SparsefitError, described, one_line
+from sparsefit.errors import InputError, one_line
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight, simulate_flight
@@ -170,7 +170,7 @@ def estimator_of(definition: Definition, cell: Cell) -> Estimator:
         library=cell.setup.library,
         backend=backends.get(cell.choice.name, **cell.settings),
         readout=cell.setup.readout,
-        tolerance=definition.run.tolerance,
+        tolerance=definition.rules.tolerance,
     )
     return as_flown(estimator) if definition.on_board else estimator
 
@@ -194,7 +194,7 @@ def fly(definition: Definition, unit: int, rules: FlightRules | Logs) -> Flown:
     extent = extent_of(np.concatenate([flown.position for flown in fleet]))
     if isinstance(draw, Logged):
         return Flown(unit, draw, fleet, extent)
-    others = draw.others(seed, definition.run.prediction_flights) if draw.flown else ()
+    others = draw.others(seed, definition.rules.prediction_flights) if draw.flown else ()
     blind = tuple(replace(flown, flow=None) for flown in fleet)
     return Flown(unit, draw, blind, extent, bounds_of(draw, fleet), others)
 
@@ -229,8 +229,6 @@ class FlightDesk:
         vehicle = PointMassVehicle(0.5, (5.0, 3.0))
         flight = simulate_flight(None, vehicle, duration=1.0, sample_rate=20.0, seed=0)
         Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0))).estimate(flight)
-        gc.collect()
-        gc.freeze()  # later collections pass over what is loaded now
 
     def fly(self, unit: int, cells: Sequence[int]) -> None:
         """Have the flights of a unit in the condition of these cells."""
@@ -264,28 +262,27 @@ class FlightDesk:
 
     def cases(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
         """The rows of cells that share a fit, or a path of penalties."""
-        chosen = [self._definition.flights.cells[index] for index in cells]
-        flown, prepared = self._prepare(unit, chosen[0])
         rows = []
-        for cell, fit in self._fits(prepared, chosen):
-            estimate = self._estimator(cell).read(prepared, fit)
-            values = Reading(estimate, fit, prepared.problem, flown).values | truth_of(flown.draw)
+        for cell, reading in self.readings(unit, cells):
+            estimate, values = reading.estimate, reading.values | truth_of(reading.flown.draw)
             reason = one_line(estimate.reason or "", MAX_REASON)
             rows.append((cell.index, estimate.status, reason, body_of(values)))
         return {"rows": rows}
 
-    def _fits(self, prepared: Prepared, cells: Sequence[Cell]) -> Iterator[tuple[Cell, Fit]]:
-        estimator = self._estimator(cells[0])
-        fractions = path_fractions(cells[0]) if len(cells) > 1 else ()
-        if fractions:
-            backend: Any = estimator.backend
-            tolerance = self._definition.run.tolerance
-            fits = path(prepared.problem, backend, fractions, tolerance=tolerance).fits
-            walked = dict(zip(fractions, fits, strict=True))
-            yield from ((cell, walked[float(cell.settings[ALPHA])]) for cell in cells)
+    def readings(self, unit: int, cells: Sequence[int]) -> Iterator[tuple[Cell, Reading]]:
+        """Each of these cells, read."""
+        chosen = [self._definition.flights.cells[index] for index in cells]
+        flown, prepared = self._prepare(unit, chosen[0])
+        first, problem = self._estimator(chosen[0]), prepared.problem
+        if fractions := path_fractions(chosen[0]) if len(chosen) > 1 else ():
+            backend: Any = first.backend
+            walked = path(problem, backend, fractions, tolerance=first.tolerance).fits
+            fit_of = dict(zip(fractions, walked, strict=True))
+            fits = [fit_of[float(cell.settings[ALPHA])] for cell in chosen]
         else:  # one fit, read in several ways
-            fit = estimator.fit(prepared)
-            yield from ((cell, fit) for cell in cells)
+            fits = [first.fit(prepared)] * len(chosen)
+        for cell, fit in zip(chosen, fits, strict=True):
+            yield cell, Reading(self._estimator(cell).read(prepared, fit), fit, problem, flown)
 
     def ready(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
         """Have a core of its own, and the flight; the memory [MB] so far."""
@@ -299,18 +296,3 @@ class FlightDesk:
         cell = self._definition.flights.cells[cells[0]]
         with suppress(Exception):
             self._estimator(cell).estimate(self._fly(unit, cell).fleet)
-
-
-def read_again(definition: Definition, unit: int, cell: Cell) -> Reading:
-    """Fly, fit and read in this process. Raises SparsefitError where the case fails, as it did."""
-    try:
-        flown = fly(definition, unit, cell.setup.flights)
-        estimator = estimator_of(definition, cell)
-        prepared = cell.setup.online.flying(estimator).prepare(flown.fleet)
-        fit = estimator.fit(prepared)
-        return Reading(estimator.read(prepared, fit), fit, prepared.problem, flown)
-    except InputError:
-        raise
-    except Exception as error:
-        name = f"{unit:04d}-{cell.key}"
-        raise SparsefitError(f"{name} ends in an error: {described(error)}") from error

@@ -37,7 +37,6 @@ class FlightExperiment(Experiment):
     """Flights x (conditions x readings x back-ends x settings)."""
 
     columns = FLIGHT_COLUMNS
-    judged = tuple(f"est_{name}" for name in PARAMETERS)
 
     @property
     def design(self) -> FlightDesign:
@@ -106,7 +105,7 @@ class FlightExperiment(Experiment):
         """
         definition, setup = self.definition, repr(cell.setup)
         count = self.design.count if "linspace" in setup else 0  # a rule that spaces flights
-        run = (definition.seed, definition.run.tolerance, definition.run.prediction_flights)
+        run = (definition.seed, definition.rules.tolerance, definition.rules.prediction_flights)
         content = (*run, definition.on_board, count, setup, cell.choice.name, cell.own_settings)
         return digest("\n".join(map(str, content)))
 
@@ -205,7 +204,7 @@ class FlightExperiment(Experiment):
         fits, cell = 1, self.design.cells[cells[0]]
         if verb == "cases" and len(cells) > 1:
             fits = max(len(path_fractions(cell)), 1) + len(cells) - 1
-        limit = self.definition.run.case_timeout * fits
+        limit = self.definition.rules.case_timeout * fits
         return Ask(verb, {"unit": unit, "cells": cells}, limit, self._desk_of(cell))
 
     def _outcomes(self, unit: int, cells: list[int], answer: Answer) -> list[Outcome]:
@@ -213,10 +212,10 @@ class FlightExperiment(Experiment):
         outcomes, kinds = [], kinds_of(self.columns)
         for cell, (own, status, reason, body) in zip(cells, answer.content["rows"], strict=True):
             outcome = outcome_of(unit, own, status, reason, body, kinds)
-            estimate = [float(outcome.values.get(name, math.nan)) for name in self.judged]
+            estimate = [outcome.values.get(f"est_{name}", math.nan) for name in PARAMETERS]
             if own != cell:
                 raise ValueError("not the cases that were asked for")
-            if status == "ok" and not all(map(math.isfinite, estimate)):
+            if status == "ok" and not np.isfinite(np.array(estimate, float)).all():
                 raise ValueError("ok without an estimate")
             outcomes.append(outcome)
         return outcomes

@@ -13,7 +13,7 @@ import math
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from sparsefit.codec import finite_or_none
 from sparsefit.study.definition import Definition
 from sparsefit.study.flight_desk import FlightDesk
 from sparsefit.study.manifest import processor, read_record
-from sparsefit.study.worker import Answer, Ask, Worker, memory_limit
+from sparsefit.study.worker import Answer, Ask, Worker, disturbed, memory_limit
 from sparsefit.whole_file import write_whole
 
 LATENCY = "latency.json"
@@ -45,30 +45,15 @@ class Latency:
     busy: float = 0.0
 
 
-def measure(
-    definition: Definition,
-    trials: Mapping[str, Sequence[int]],
-    flights: int,
-    progress: Callable[[int, int, float | None], None] | None = None,
-) -> dict[str, Latency]:
-    """Time `flights` estimates of every candidate, the conditions of the study in turn.
+def measured(definition: Definition, cells: Sequence[int], flights: int) -> Latency:
+    """The times of `flights` estimates of a candidate, its cells, so conditions, in turn.
 
-    trials: the cells of each candidate. The flights are those that a candidate is chosen on.
-    progress: called with (candidates done, candidates, None).
+    They are of the flights that it is chosen on. A slow candidate is timed on fewer, 10 at least,
+    and says so.
     """
-    measured = {}
-    for done, (name, cells) in enumerate(trials.items()):
-        if progress:
-            progress(done, len(trials), None)
-        measured[name] = _measured(definition, cells, flights)
-    return measured
-
-
-def _measured(definition: Definition, cells: Sequence[int], flights: int) -> Latency:
-    """A slow candidate is timed on fewer flights, 10 at least, and says so."""
-    design, limit = definition.flights, definition.run.case_timeout
+    design, limit = definition.flights, definition.rules.case_timeout
     units = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
-    memory = memory_limit(definition.run.max_memory, 1)
+    memory = memory_limit(definition.rules.max_memory, 1)
     worker = Worker.start(FlightDesk, (definition,), memory=memory)
     begun, times, busy = time.monotonic(), list[float](), 0
     try:
@@ -76,18 +61,17 @@ def _measured(definition: Definition, cells: Sequence[int], flights: int) -> Lat
             unit = units[place // len(cells) % len(units)]
             content = {"unit": unit, "cells": [cells[place % len(cells)]]}
             runs: list[Answer] = []
-            disturbed = True
-            while disturbed and len(runs) < 2:
+            while len(runs) < 2:
                 run = worker.wait(Ask("ready", content, limit))
                 if not run.lost:
                     run = worker.wait(Ask("estimate", content, limit, timed=True))
                 if run.lost:
                     return Latency(math.inf, math.inf, math.inf, 0)
                 runs.append(run)
-                # The two clocks may differ by .2 ms anyway.
-                disturbed = run.wall > 1.1 * run.cpu + 2e-4
-            times.append(min(run.cpu for run in runs) if disturbed else run.wall)
-            busy += disturbed and len(times) > 2
+                if not (late := disturbed(run.wall, run.cpu)):
+                    break
+            times.append(min(run.cpu for run in runs) if late else run.wall)
+            busy += late and len(times) > 2
             if len(times) >= 12 and time.monotonic() - begun > 15.0:
                 break
         peak = worker.wait(Ask("ready", content, limit)).content.get("memory")
@@ -101,9 +85,8 @@ def _measured(definition: Definition, cells: Sequence[int], flights: int) -> Lat
 def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latency]) -> None:
     """Write the times into the results folder, in a file of their own: no other machine's agree."""
     candidates = {name: asdict(latency) for name, latency in measured.items()}
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
-    machine = {"processor": processor(), "system": platform.platform(), "load": load}
-    machine |= {"sparsefit": sparsefit.__version__}
+    machine: dict[str, object] = {"processor": processor(), "system": platform.platform()}
+    machine |= {"load": os.getloadavg()[0], "sparsefit": sparsefit.__version__}
     content = {"study_hash": study_hash, "machine": machine, "candidates": candidates}
     write_whole(folder / LATENCY, json.dumps(finite_or_none(content), indent=2) + "\n")
 

@@ -28,12 +28,18 @@ from sparsefit.whole_file import write_whole
 
 MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
-# Rooms that no case is computed by: they show what others computed.
-SHOWING = ("cli", "plot", "sklearn", "pysindy", "__main__.py", "sklearn.py", "pysindy.py")
-# Files of `study/` that a worker, its questions or its answers pass through, with all they import.
-ROOTS = ("flight_experiment", "problem_experiment", "guardian")
-IMPORT = re.compile(
-    r"(?m)^\s*(?:from sparsefit\.study(?:\.| import )|import sparsefit\.study\.)(\w+)"
+STUDY = (  # files of `study/` that no worker, question or answer passes through
+    *("__init__", "compare", "dask_executor", "entries", "evidence", "export", "figures"),
+    *("latency", "measures", "merging", "page", "panels", "pool", "resampling", "runner"),
+    *("selection", "solver_times", "store", "study", "table", "tables", "trials"),
+)
+# No case is computed by these: they run, keep and show what others computed.
+NOT_COMPUTING = {"cli", "plot", "__main__.py", "sklearn.py", "pysindy.py"} | {
+    f"study/{name}.py" for name in STUDY
+}
+COMPUTING = (  # packages
+    *("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp", "scikit-learn", "celer"),
+    *("skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp", "daqp", "pysindy", "numba"),
 )
 DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
 COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
@@ -58,17 +64,10 @@ def _digest() -> str:
 def sources() -> Iterator[Path]:
     """The source files of the package that can change a number, in order."""
     package = Path(sparsefit.__file__).parent
-    computing, waiting = set[Path](), [package / "study" / f"{name}.py" for name in ROOTS]
-    while waiting:
-        path = waiting.pop()
-        if path not in computing and path.is_file():
-            computing.add(path)
-            names = IMPORT.findall(path.read_text(encoding="utf-8"))
-            waiting += [package / "study" / f"{name}.py" for name in names]
-    for path in sorted(package.rglob("*")):
-        room = path.relative_to(package).parts[0]
-        counts = path in computing if room == "study" else room not in SHOWING
-        if path.suffix in (".py", ".pyx") and counts:
+    for path in sorted(package.rglob("*.py*")):
+        within = path.relative_to(package)
+        shows = NOT_COMPUTING & {within.parts[0], within.as_posix()}
+        if path.suffix in (".py", ".pyx") and not shows:
             yield path
 
 
@@ -133,17 +132,14 @@ def _sha256(path: Path) -> str:
 
 def versions() -> dict[str, str | None]:
     """Versions of sparsefit, Python and what computes; None for what is not installed."""
-    own = {"sparsefit": sparsefit.__version__, "python": platform.python_version()}
-    packages = ("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp")
-    return own | {name: version_of(name) for name in packages}
-
-
-def version_of(name: str) -> str | None:
-    """The version of an installed package; None where it is not."""
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return None
+    told: dict[str, str | None] = {
+        "sparsefit": sparsefit.__version__, "python": platform.python_version()
+    }  # fmt: skip
+    for name in COMPUTING:
+        told[name] = None
+        with suppress(metadata.PackageNotFoundError):
+            told[name] = metadata.version(name)
+    return told
 
 
 def processor() -> str:

@@ -43,14 +43,12 @@ class Batch:
 class Experiment:
     """A kind of study: its units, its cells, and how a batch of cases is run.
 
-    columns: of `cases.parquet`, but for swept factors; judged: those in which two rows of one case
-    must agree; called: those with the names by which a user may call a cell; alone: whether cases
-    are timed, so that one process works at a time.
+    columns: of `cases.parquet`, but for swept factors; called: those with the names by which a user
+    may call a cell; alone: whether cases are timed, so that one process works at a time.
     """
 
     definition: Definition
     columns: ClassVar[Sequence[Column]]
-    judged: ClassVar[Sequence[str]] = ()
     called: ClassVar[Sequence[str]] = ("backend", "label", "protocol")
     alone: ClassVar[bool] = False
 

@@ -32,7 +32,7 @@ def outcomes(
 
     ``idle`` is called before workers are waited for, with the longest [s] that this takes.
     """
-    memory = memory_limit(experiment.definition.run.max_memory, processes)
+    memory = memory_limit(experiment.definition.rules.max_memory, processes)
     slots = [Slot(experiment, _steps(experiment, batches), memory) for _ in range(processes)]
     lost, looked = 0, time.monotonic()
     try:

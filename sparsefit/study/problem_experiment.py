@@ -22,7 +22,7 @@ from sparsefit.study.arena import JUDGE, Arena, size_of
 from sparsefit.study.columns import PROBLEM_COLUMNS
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.data_sets import Data, shipping
-from sparsefit.study.manifest import code_version, processor, version_of, versions
+from sparsefit.study.manifest import code_version, processor, versions
 from sparsefit.study.plan import Asking, Batch, Experiment
 from sparsefit.study.problem_desk import Contender, JudgeDesk, SolverDesk
 from sparsefit.study.toml_file import canonical_json, digest, numbered
@@ -91,7 +91,8 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def _machine(self) -> str:
-        return digest(canonical_json(timed_on()))[:8]
+        """On what the times of one comparison are taken."""
+        return digest(canonical_json([processor(), os.cpu_count(), versions()]))[:8]
 
     def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
         """The cells that take turns with a case ``wanted``, and all that was timed elsewhere."""
@@ -148,16 +149,6 @@ class ProblemExperiment(Experiment):
     @cached_property
     def _arena(self) -> Arena:
         return Arena(self.design)
-
-
-def timed_on() -> dict[str, object]:
-    """On what the times of one comparison are taken."""
-    peers = (
-        *("scikit-learn", "celer", "skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp"),
-        *("daqp", "pysindy", "numba"),
-    )
-    every = versions() | {name: version_of(name) for name in peers}
-    return {"processor": processor(), "processors": os.cpu_count(), "versions": every}
 
 
 def _title(contender: Contender, stop: float, several: bool, apart: bool) -> str:

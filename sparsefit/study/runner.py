@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from sparsefit.errors import InputError, SparsefitError, is_integer, one_of
+from sparsefit.errors import InputError, SparsefitError, is_integer
 from sparsefit.study.columns import FAILED
 from sparsefit.study.manifest import write_manifest
 from sparsefit.study.plan import Plan
@@ -75,7 +75,6 @@ def run(
     retry_failed: bool = False,
     stale: bool = False,
     only: Sequence[str] = (),
-    executor: str = "processes",
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> RunSummary:
@@ -90,22 +89,19 @@ def run(
         retry_failed: compute cases again that ended as error, timeout or crashed.
         stale: compute cases again that other code has computed.
         only: compute no cases but those of these names.
-        executor: "processes" of this machine, or "dask".
-        scheduler: the address of dask's; None for a cluster of its own.
+        scheduler: the address of a dask scheduler, whose workers compute in place of processes of
+            this machine.
         progress: called with (cases done, cases planned, seconds left or None).
 
     Raises:
         InputError: if the folder cannot be written, is in use, or is another study's.
         KeyboardInterrupt: interrupted; the rows so far are on the disk.
     """
-    one_of("executor", executor, ("processes", "dask"))
     experiment, begun, shown = plan.experiment, time.monotonic(), 0.0
-    if scheduler is not None and executor != "dask":
-        raise InputError(f"a scheduler is of dask, not of {executor}: add --executor dask")
     if processes is not None and not is_integer(processes, 1):
         raise InputError(f"processes must be a whole number of at least 1, not {processes!r}")
-    if experiment.alone and (processes not in (None, 1) or executor != "processes"):
-        words = "solvers are timed one at a time, here: leave --processes and --executor away"
+    if experiment.alone and (processes not in (None, 1) or scheduler):
+        words = "solvers are timed one at a time, here: leave --processes and --scheduler away"
         raise InputError(words)
     # In a container there are fewer processors than the machine has.
     here = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
@@ -127,13 +123,13 @@ def run(
         experiment.check()
         resumed, total, computed = int((store.done & ~wanted).sum()), int(wanted.sum()), 0
         with Store.opened(folder, plan) as store:
-            work = (experiment, experiment.batches(wanted), count, store.sync)
-            if executor == "dask":
+            batches = experiment.batches(wanted)
+            if scheduler:
                 from sparsefit.study.dask_executor import outcomes_on_dask
 
-                arriving = outcomes_on_dask(scheduler, *work)
+                arriving = outcomes_on_dask(scheduler, experiment, batches, store.sync)
             else:
-                arriving = outcomes(*work)
+                arriving = outcomes(experiment, batches, count, store.sync)
             tell = progress or (lambda *_: None)
             tell(resumed, resumed + total, None)
             with closing(arriving):

@@ -11,9 +11,9 @@ Results lie beside the study file unless said: `studies/mine.toml` has `results/
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cached_property
 from hashlib import sha256
@@ -22,15 +22,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.codec import shown
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, SparsefitError, described
 from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.definition import Definition, definition_of, read_definition
 from sparsefit.study.export import cases_table, read_cases
-from sparsefit.study.flight_desk import Reading, estimator_of, read_again
+from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import Outputs
-from sparsefit.study.latency import Latency, measure, read_latencies, write_latencies
+from sparsefit.study.latency import Latency, measured, read_latencies, write_latencies
 from sparsefit.study.merging import MergedPart, merge
 from sparsefit.study.plan import Batch, Experiment, Plan
 from sparsefit.study.pool import outcomes
@@ -47,11 +47,10 @@ RESULTS, STUDIES = "results", "studies"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Study:
+class Study(Definition):
     """A study file and its results folder; made by `from_file` or `from_mapping`."""
 
-    definition: Definition
-    folder: Path
+    folder: Path = Path()
 
     @classmethod
     def from_file(cls, path: str | Path, results: str | Path | None = None) -> Study:
@@ -64,12 +63,10 @@ class Study:
         Raises:
             InputError: with the file, the section and the key (or the line) of the first fault.
         """
-        definition = read_definition(path)
-        beside = Path(path).resolve().parent
-        home = beside.parent if beside.name == STUDIES else beside
-        shown = Path(path).parent / ".." if beside.name == STUDIES else Path(path).parent
-        folder = Path(results) if results is not None else _short(home, shown) / RESULTS
-        return cls(definition, folder / definition.name)
+        beside = Path(path).parent
+        if beside.resolve().name == STUDIES:
+            beside = Path(os.path.normpath(beside / ".."))
+        return cls._of(read_definition(path), beside, results)
 
     @classmethod
     def from_mapping(
@@ -79,45 +76,17 @@ class Study:
         results: str | Path | None = None,
     ) -> Study:
         """The study of a mapping with the keys of a file; files that it names lie in ``folder``."""
-        definition = definition_of(document, str(Path(folder) / "study"))
-        home = Path(results) if results is not None else Path(folder) / RESULTS
-        return cls(definition, home / definition.name)
+        return cls._of(definition_of(document, str(Path(folder) / "study")), folder, results)
 
-    def __repr__(self) -> str:
-        cases = f"{self.planned.size} cases"
-        with suppress(InputError):  # of damaged results
-            cases = f"{self.status().done} of {cases}"
-        return f"Study({self.name!r}, {self.kind}, {cases}, in {str(self.folder)!r})"
+    @classmethod
+    def _of(cls, own: Definition, beside: str | Path, results: str | Path | None) -> Study:
+        home = Path(beside) / RESULTS if results is None else Path(results)
+        return cls(**vars(own), folder=home / own.name)
 
-    @property
-    def name(self) -> str:
-        """The name of the study, and of its results folder."""
-        return self.definition.name
-
-    @property
-    def question(self) -> str:
-        """The question that it asks."""
-        return self.definition.question
-
-    @property
-    def kind(self) -> str:
-        """`flights` or `problems`."""
-        return self.definition.kind
-
-    @property
-    def path(self) -> str:
-        """The study file."""
-        return self.definition.path
-
-    @property
-    def seed(self) -> int:
-        """The seed of all that is random."""
-        return self.definition.seed
-
-    @property
-    def hash(self) -> str:
-        """sha256 of all that the cases depend on."""
-        return self.definition.hash
+    @cached_property
+    def definition(self) -> Definition:
+        """The study file alone, as its workers get it."""
+        return Definition(**{item.name: getattr(self, item.name) for item in fields(Definition)})
 
     @cached_property
     def experiment(self) -> Experiment:
@@ -165,17 +134,16 @@ class Study:
             words = f"0 of {self.planned.size} cases are there; run them first"
             raise InputError(f"{self.folder}: {words}: sparsefit study run {self.path}")
         frame = frame.join(table[[name for name in table.columns if name not in frame.columns]])
-        design = self.definition.design
-        if isinstance(design, ProblemDesign):
-            frame.attrs["limit"] = design.clock.limit
+        if isinstance(self.design, ProblemDesign):
+            frame.attrs["limit"] = self.design.clock.limit
         return frame
 
     @property
     def missing(self) -> dict[str, str]:
         """Why each solver that cannot run here is missing; empty of flights."""
-        design = self.definition.design
-        contenders = design.contenders if isinstance(design, ProblemDesign) else ()
-        return {c.solver: c.missing for c in contenders if c.missing}
+        if not isinstance(self.design, ProblemDesign):
+            return {}
+        return {each.solver: each.missing for each in self.design.contenders if each.missing}
 
     def counts(self) -> dict[str, Any]:
         """The size of the study, JSON-ready."""
@@ -200,8 +168,14 @@ class Study:
             where = "ids stand in its cases.parquet and report.html"
             raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}, {near} say")
         unit, cell = self.planned.at(place)
-        if isinstance(self.experiment, FlightExperiment):
-            return read_again(self.definition, unit, self.definition.flights.cells[cell])
+        if self.kind == "flights":
+            try:
+                ((_, reading),) = FlightDesk(self.definition).readings(unit, [cell])
+            except InputError:
+                raise
+            except Exception as error:
+                raise SparsefitError(f"{case_id} ends in an error: {described(error)}") from error
+            return reading
         (outcome,) = outcomes(self.experiment, iter([Batch(unit, (cell,))]), 1)
         return outcome
 
@@ -215,8 +189,13 @@ class Study:
 
     def estimator(self, candidate: str) -> Estimator:
         """The estimator that the cases of a candidate use."""
-        cell = self.definition.flights.cells[self.cells_of(candidate)[0]]
-        return estimator_of(self.definition, cell)
+        return estimator_of(self, self.flights.cells[self.cells_of(candidate)[0]])
+
+    @property
+    def _titles(self) -> dict[str, str]:
+        """The title of each candidate."""
+        cells = self.experiment.cells
+        return dict(zip(cells["candidate"], cells["title"], strict=True))
 
     @cached_property
     def refusals(self) -> dict[str, str]:
@@ -227,11 +206,9 @@ class Study:
         """
         from sparsefit.onboard import refusal
 
-        cells = self.experiment.cells
-        titles = dict(zip(cells["candidate"], cells["title"], strict=True))
-        reasons = {title: refusal(self.estimator(name)) for name, title in titles.items()}
+        reasons = {title: refusal(self.estimator(name)) for name, title in self._titles.items()}
         refused = {title: reason for title, reason in reasons.items() if reason}
-        if len(refused) == len(titles):
+        if len(refused) == len(reasons):
             raise InputError(f"on_board: no candidate can fly: {next(iter(refused.values()))}")
         return refused
 
@@ -240,26 +217,24 @@ class Study:
 
         Its cases lie in the folder ``on-board`` within the study's own.
         """
-        cells = self.experiment.cells
-        pairs = zip(cells["candidate"], cells["title"], strict=True)
-        able = dict.fromkeys(name for name, title in pairs if title not in self.refusals)
-        return self._part(list(able), "on-board", on_board=True)
+        able = [name for name, title in self._titles.items() if title not in self.refusals]
+        return self._part(able, "on-board", on_board=True)
 
     def variant(self, candidates: Sequence[str], count: int) -> Study:
         """These candidates on flights of fresh seeds, in the folder ``fresh``."""
         seed = int(sha256(f"fresh {self.seed}".encode()).hexdigest()[:8], 16)
-        design = replace(self.definition.flights, count=count, validate_count=None)
+        design = replace(self.flights, count=count, validate_count=None)
         return self._part(candidates, "fresh", seed=seed, design=design)
 
     def _part(self, candidates: Sequence[str], name: str, **changes: Any) -> Study:
         """These candidates, in a folder within the study's own; changes: of the definition."""
-        own = changes.pop("design", self.definition.flights)
+        own = changes.pop("design", self.flights)
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
         cells = tuple(replace(own.cells[cell], index=i) for i, cell in enumerate(chosen))
         content = f"{self.hash} {name} {own.count} {' '.join(cell.key for cell in cells)}"
         changes |= {"name": name, "hash": sha256(content.encode()).hexdigest()}
         changes |= {"outputs": Outputs(), "design": replace(own, cells=cells)}
-        return Study(replace(self.definition, **changes), self.folder / name)
+        return replace(self, **changes, folder=self.folder / name)
 
     @property
     def latencies(self) -> dict[str, Latency]:
@@ -275,13 +250,15 @@ class Study:
         progress: Progress | None = None,
     ) -> dict[str, Latency]:
         """Seconds and memory of one estimate of each candidate; known ones are not timed anew."""
-        registered = {} if again else self.latencies
-        trials = {name: self.cells_of(name) for name in candidates if name not in registered}
-        measured = measure(self.definition, trials, flights, progress)
-        if measured:
-            write_latencies(self.hash, self.folder, {**registered, **measured})
-        every = {**registered, **measured}
-        return {name: every[name] for name in candidates}
+        latencies = {} if again else self.latencies
+        trials = [name for name in candidates if name not in latencies]
+        for done, name in enumerate(trials):
+            if progress:
+                progress(done, len(trials), None)
+            latencies[name] = measured(self.definition, self.cells_of(name), flights)
+        if trials:
+            write_latencies(self.hash, self.folder, latencies)
+        return {name: latencies[name] for name in candidates}
 
     def select(self, **rule: Any) -> Any:
         """The candidate to deploy, and why; options take the place of those in [select]."""
@@ -294,11 +271,3 @@ class Study:
     def figure(self, entry: str | Mapping[str, object]) -> Any:
         """A figure of the cases, by its name or options as in [outputs]."""
         return import_module("sparsefit.study.figures").figure(self, entry)
-
-
-def _short(home: Path, shown: Path) -> Path:
-    """The folder as a user would write it, where that is shorter than its whole path."""
-    try:
-        return home.relative_to(Path.cwd())
-    except ValueError:
-        return home if shown.is_absolute() else shown

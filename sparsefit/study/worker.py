@@ -132,6 +132,8 @@ def serve(
             answer = None
             if desk is None:
                 desk = make(*arguments)
+                gc.collect()
+                gc.freeze()  # later collections pass over what is loaded now
             else:
                 answer = getattr(desk, verb)(**content)
             line = packed({"number": number, "answer": answer or {}})
@@ -318,6 +320,11 @@ def cpu_seconds(pid: int) -> float:
         ended = sum(map(int, words[13:15])) / os.sysconf("SC_CLK_TCK")
         total += ended + sum(map(cpu_seconds, guardian.children_of(pid)))
     return total
+
+
+def disturbed(wall: float, cpu: float) -> bool:
+    """Whether the wall [s] ran ahead of the CPU [s]; the clocks themselves may differ by .2 ms."""
+    return wall > 1.1 * cpu + 2e-4
 
 
 def resident(name: str = "VmHWM") -> float | None:

@@ -19,6 +19,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -194,7 +195,7 @@ def damaged(study, count):
             rows = list(Store.read(study.folder, study.planned).rows())
             wrong += any(expected[row.key] != row for row in rows)
             if rows:
-                _ = sf.Study(study.definition, study.folder).cases
+                _ = replace(study).cases
         except InputError as error:
             refused += 1
             wrong += "\n" in str(error)

@@ -81,7 +81,7 @@ def changed(old: str, new: str) -> str:
 def test_reads_what_was_written(tmp_path: Path) -> None:
     study = load(tmp_path, GOOD)
     assert (study.name, study.seed, study.flights.count) == ("good", 20201120, 6)
-    assert (study.run.case_timeout, study.run.tolerance) == (30.0, 1e-6)
+    assert (study.rules.case_timeout, study.rules.tolerance) == (30.0, 1e-6)
     assert study.flights.count * len(study.flights.cells) == 6 * 2 * 2 * 3
     assert list(dict.fromkeys(c.choice.label for c in study.flights.cells)) == ["lasso", "literal"]
     bare = load(tmp_path, GOOD.replace('"derivative.method"', "derivative.method"))
@@ -98,7 +98,7 @@ def test_defaults(tmp_path: Path) -> None:
     study = load(tmp_path, GOOD.split("[[protocols]]")[0])
     assert study.flights.protocols == {"default": {}}
     assert {study.flights.split(i) for i in range(6)} == {"all"}
-    assert (study.run.case_timeout, study.run.tolerance) == (60.0, 1e-8)
+    assert (study.rules.case_timeout, study.rules.tolerance) == (60.0, 1e-8)
 
 
 def test_an_example_message_to_the_letter(tmp_path: Path) -> None:

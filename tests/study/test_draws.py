@@ -1,5 +1,6 @@
 """The flights of a study: drawn, with a vehicle that is believed, together, or logged."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -10,7 +11,6 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.study.columns import read_body
 from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, fly
 from sparsefit.study.quantities import FlightWords
@@ -168,7 +168,7 @@ def test_cases_of_logs_have_an_estimate_and_no_error(folder):
     (row,) = desk.cases(2, [0])["rows"]
     assert study.experiment.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
     assert row[1] == "ok"
-    assert read_body(row[3])["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
+    assert json.loads(row[3])["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
 
 
 def test_a_log_that_changes_is_another_study(folder, flight):

@@ -165,8 +165,6 @@ def test_a_solver_is_named_where_there_are_several(own, tmp_path):
     both = '[[backends]]\nname = "lasso"\n[[backends]]\nname = "ridge"\n'
     study = load(tmp_path, PROBLEMS + CORRELATED + both)
     assert study.plan()["title"].tolist() == ["lasso", "ridge"]
-    assert repr(study).startswith("Study('p', problems, 0 of 2 cases, in ")
-    assert repr(own).startswith("Study('p', problems, 9 of 9 cases")
     assert own.plan()["title"][0] == "homotopy"
 
 
