@@ -273,18 +273,15 @@ def _read_contenders(
         ]
     asked = [(keys.name, settings, recipe) for keys, settings, _, recipe in listed]
     foreign = [_foreign(name, recipe) for name, _, recipe in asked]
-    ours, theirs = (
-        [each for each, other in zip(asked, foreign, strict=True) if other is half]
-        for half in (False, True)
-    )
     try:
-        about = iter(about_contenders(ours))
-        elsewhere = iter(in_child(about_contenders, theirs, seconds=120.0) if theirs else ())
+        if any(foreign):
+            about = in_child(about_contenders, asked, seconds=120.0)
+        else:
+            about = about_contenders(asked)
     except InputError as error:
         raise here.error(str(error)) from None
     contenders: list[Contender] = []
-    for (keys, settings, solver, recipe), other in zip(listed, foreign, strict=True):
-        words = next(elsewhere if other else about)
+    for (keys, settings, solver, recipe), other, words in zip(listed, foreign, about, strict=True):
         if refused := words.pop("refused"):
             raise here.error(refused)
         stops = tuple(sorted(keys.tolerances or tolerances, reverse=True))

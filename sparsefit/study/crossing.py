@@ -161,13 +161,16 @@ def cross(
     sweep: Grid,
     fitted: Sequence[Fitted],
     place: Place,
+    parts: dict[str, Any],
 ) -> Iterator[Cell]:
     """Every cell, in plan order: protocol, sweep levels, back-end, setting (last is fastest).
+
+    parts: as of `read_setup`.
 
     Raises:
         InputError: with the protocol and levels that resolve to something that cannot be.
     """
-    parts, index = dict[str, Any](), itertools.count()
+    index = itertools.count()
     for (protocol, overrides), levels in itertools.product(protocols.items(), points_of(sweep)):
         words = [f'protocol "{protocol}"'] if overrides else []
         words += [f"{name} = {shown(value)}" for name, value in levels.items()]

@@ -14,7 +14,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from sparsefit.codec import Place, integer, only, shown
 from sparsefit.errors import InputError, one_of, suggestion
@@ -29,7 +29,7 @@ from sparsefit.study.crossing import (
     read_setup,
     read_sweep,
 )
-from sparsefit.study.draw import read_logs
+from sparsefit.study.draw import Logs
 from sparsefit.study.keys import (
     CRITERIA,
     FLIGHT_SECTIONS,
@@ -187,14 +187,14 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
     sections = {name: dict(section_of(document, name, place)) for name in READING}
     required(document, "flights", place)
     flights, within = sections["flights"], place.within("flights")
-    if "files" in flights:
-        pieces = read_logs(flights, within).pieces
-        count = len(pieces)
-        content["logs"] = list(dict.fromkeys(piece.digest for piece in pieces))
-    else:
+    count, parts = 0, dict[str, Any]()
+    if "files" not in flights:
         count = integer(required(flights, "count", within), within.at("count"), least=1)
         del flights["count"]
-    read_setup(sections, place)
+    drawn = read_setup(sections, place, parts).flights
+    if isinstance(drawn, Logs):
+        count = len(drawn.pieces)
+        content["logs"] = list(dict.fromkeys(piece.digest for piece in drawn.pieces))
     sweep = read_sweep(section_of(document, "sweep", place), place.within("sweep"))
     fitted = read_backends(document, place)
     protocols = read_protocols(document, sweep, place)
@@ -213,7 +213,7 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
             words = f"counts sum to {total}, not to the {count} of flights.count"
             raise place.within("split").error(words)
     given = {f"{name}.{key}": value for name in sections for key, value in sections[name].items()}
-    cells = tuple(cross(sections, protocols, sweep, fitted, place))
+    cells = tuple(cross(sections, protocols, sweep, fitted, place, parts))
     return FlightDesign(count, given, protocols, sweep, cells, validate), content
 
 

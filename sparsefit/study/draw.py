@@ -28,7 +28,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sparsefit.codec import Place, number, only
-from sparsefit.errors import InputError
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import Cells, CellularFlow, ShapedCells, SuperposedFlow
@@ -358,14 +357,8 @@ class Logged:
         return f"{Path(self.file).name} {self.start:g}-{self.end:g} s"
 
     def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight]:
-        """The flight as it was logged, alone, its time from 0 on: nothing of it is random.
-
-        Raises:
-            InputError: if the file has changed since the study was read.
-        """
-        whole, digest = _read(self.file, self.vehicle)
-        if digest != self.digest:
-            raise InputError(f"{self.file} has changed since the study was read: run it again")
+        """The flight as it was logged, alone, its time from 0 on: nothing of it is random."""
+        whole = _parsed(self.file, self.digest, self.vehicle)
         piece = whole.rows((whole.time >= self.start) & (whole.time <= self.end))
         return (replace(piece, time=piece.time - self.start),)
 
@@ -379,12 +372,6 @@ class Logs:
     def draw(self, flight: int, count: int, seed: int) -> Logged:
         """Flight number `flight`, of the pieces in order."""
         return self.pieces[flight]
-
-
-def _read(file: str, vehicle: PointMassVehicle | None) -> tuple[Flight, str]:
-    """The flight of a file and the sha256 of its content now."""
-    digest = hashlib.sha256(read_whole(file, most=LARGEST)).hexdigest()
-    return _parsed(file, digest, vehicle), digest
 
 
 @lru_cache(maxsize=4)  # logs that are kept while their pieces are flown
@@ -418,7 +405,8 @@ def _pieces(
     file: str, vehicle: PointMassVehicle | None, windows: tuple[float, ...]
 ) -> Iterator[Logged]:
     """The log whole, or cut into pieces of each length; the rest at its end is not flown."""
-    flight, digest = _read(file, vehicle)
+    digest = hashlib.sha256(read_whole(file, most=LARGEST)).hexdigest()
+    flight = _parsed(file, digest, vehicle)
     first, last = float(flight.time[0]), float(flight.time[-1])
     step = float(np.median(np.diff(flight.time)))
     for window in windows or (last - first,):

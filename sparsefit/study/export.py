@@ -72,7 +72,7 @@ def exported_rows(folder: Path, plan: Plan, *, brief: bool = False) -> Iterator[
     with parquet(folder / CASES) as file:
         names, own = file.schema_arrow.names, list[str]()
         if not brief:
-            other = {*plan.columns(), *ENDED}
+            other = {*plan.columns, *ENDED}
             own = [n for n in kinds_of(plan.experiment.columns) if n in names and n not in other]
         heads = [name for name in ("case_id", "flight", "identity", *ENDED) if name in names]
         for batch in file.iter_batches(batch_size=BATCH, columns=[*heads, *own]):
@@ -128,7 +128,7 @@ def read_cases(folder: str | Path) -> pd.DataFrame:
     return frame
 
 
-def cases_table(plan: Plan, planned: Mapping[str, Sequence[Any]], rows: Sequence[Row]) -> pa.Table:
+def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     """Rows of `cases.parquet`: of the plan, of the row or of its body; then swept factors."""
     import pyarrow as pa
 
@@ -139,15 +139,15 @@ def cases_table(plan: Plan, planned: Mapping[str, Sequence[Any]], rows: Sequence
         name, kind, empty = column.name, column.kind, column.kind.empty
         if name in ENDED:
             values = [getattr(row, name) for row in rows]
-        elif name in planned:
-            values = [planned[name][place] for place in places]
+        elif name in plan.columns:
+            values = [plan.columns[name][place] for place in places]
         else:
             values = [body.get(name, empty) for body in bodies]
         arrays[name] = pa.array(values, type=pa.type_for_alias(kind.arrow))
     swept: Mapping[str, Any] = getattr(plan.experiment.definition.design, "sweep", {})
     for key, levels in swept.items():
         kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
-        arrays[key] = pa.array([planned[key][place] for place in places], type=kind_)
+        arrays[key] = pa.array([plan.columns[key][place] for place in places], type=kind_)
     return pa.table(arrays)
 
 
@@ -155,8 +155,8 @@ def write_rows(folder: Path, plan: Plan, rows: Sequence[Row]) -> None:
     """Write `cases.parquet` of rows in plan order; it appears whole or not at all."""
     import pyarrow.parquet as pq
 
-    planned, count = plan.columns(), max(len(rows), 1)  # one table at least has the columns
-    tables = (cases_table(plan, planned, rows[i : i + GROUP]) for i in range(0, count, GROUP))
+    starts = range(0, max(len(rows), 1), GROUP)  # one table at least has the columns
+    tables = (cases_table(plan, rows[start : start + GROUP]) for start in starts)
     first = next(tables)
     dense = [column.name for column in plan.experiment.columns if column.kind.dense]
     with (

@@ -132,14 +132,14 @@ def _sha256(path: Path) -> str:
 
 def versions() -> dict[str, str | None]:
     """Versions of sparsefit, Python and what computes; None for what is not installed."""
-    told: dict[str, str | None] = {
+    numbers: dict[str, str | None] = {
         "sparsefit": sparsefit.__version__, "python": platform.python_version()
     }  # fmt: skip
     for name in COMPUTING:
-        told[name] = None
+        numbers[name] = None
         with suppress(metadata.PackageNotFoundError):
-            told[name] = metadata.version(name)
-    return told
+            numbers[name] = metadata.version(name)
+    return numbers
 
 
 def processor() -> str:

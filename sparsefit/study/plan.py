@@ -173,6 +173,7 @@ class Plan:
         """The code that makes the rows of each cell now."""
         return [self.experiment.version(cell) for cell in range(self.shape[1])]
 
+    @cached_property
     def columns(self) -> dict[str, list[Any]]:
         """Every planned column, a value a case."""
         units, cells = self.shape
@@ -212,9 +213,8 @@ class Plan:
         import pandas as pd
 
         first = ("case_id", "unit", "flight", "condition", "candidate", "title", "split")
-        columns = self.columns()
-        order = dict.fromkeys([*(name for name in first if name in columns), *columns])
-        return pd.DataFrame({name: columns[name] for name in order})
+        order = dict.fromkeys([*(name for name in first if name in self.columns), *self.columns])
+        return pd.DataFrame({name: self.columns[name] for name in order})
 
     def named(self, names: Iterable[str]) -> BoolArray:
         """The cases (u, c) that any of these names or case ids mean; `*` is for any letters.

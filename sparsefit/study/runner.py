@@ -22,6 +22,7 @@ from sparsefit.study.manifest import write_manifest
 from sparsefit.study.plan import Plan
 from sparsefit.study.pool import outcomes
 from sparsefit.study.store import Store, clear, discard
+from sparsefit.whole_file import refusing
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
 
@@ -172,13 +173,8 @@ def locked(folder: Path) -> Iterator[None]:
     Raises:
         InputError: if another run holds it, or the folder cannot be written.
     """
-    try:
+    with refusing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        cause = f"cannot be made: {error.strerror}: choose another results folder"
-        raise InputError(f"{folder}: {cause}") from None
-    if not os.access(folder, os.W_OK):
-        raise InputError(f"{folder}: cannot be written: choose another results folder")
     place = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):  # of a file system without such locks

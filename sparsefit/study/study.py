@@ -127,7 +127,7 @@ class Study(Definition):
         if store.finished:
             table = read_cases(self.folder)
         elif rows := list(store.rows()):
-            table = cases_table(self.planned, self.planned.columns(), rows).to_pandas()
+            table = cases_table(self.planned, rows).to_pandas()
             places = [self.planned.place_of[row.key] for row in rows]
             frame = frame.iloc[places].reset_index(drop=True)
         else:

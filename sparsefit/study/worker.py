@@ -19,6 +19,7 @@ import json
 import math
 import os
 import pickle
+import resource
 import select
 import signal
 import subprocess
@@ -120,9 +121,7 @@ def serve(
     A copy of it, made by code that forks, ends where it would answer.
     """
     warnings.simplefilter("ignore")
-    with suppress(ImportError, ValueError, OSError, OverflowError):  # OverflowError: no limit
-        import resource
-
+    with suppress(ValueError, OSError, OverflowError):  # OverflowError: no limit
         most = int(memory * 1e6)
         resource.setrlimit(resource.RLIMIT_DATA, (most, most))  # of Linux, private memory
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -156,10 +155,7 @@ def memory_limit(requested: float | None, processes: int) -> float:
     """Megabytes [MB] that a worker may take: those asked for, or its share of the machine's."""
     if requested is not None:
         return requested
-    try:
-        total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
-    except (ValueError, OSError, AttributeError):
-        return math.inf
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
     with suppress(OSError, ValueError):  # of a container, which may have less
         total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e6)
     return 0.8 * total / max(processes, 1)
@@ -309,13 +305,11 @@ def wait_for(workers: Sequence[Worker], seconds: float) -> None:
 
 def cpu_seconds(pid: int) -> float:
     """Seconds of CPU [s] that a process and its children have used; NaN where none are told."""
-    if not hasattr(time, "clock_gettime"):
-        return math.nan
     total = math.nan
     with suppress(OSError, OverflowError):
         # The number of the clock of another process, as of `clock_getcpuclockid` of Linux.
         total = time.clock_gettime((~pid << 3) | 2)
-    with suppress(OSError, ValueError, AttributeError):
+    with suppress(OSError, ValueError):
         words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         ended = sum(map(int, words[13:15])) / os.sysconf("SC_CLK_TCK")
         total += ended + sum(map(cpu_seconds, guardian.children_of(pid)))
