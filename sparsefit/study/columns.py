@@ -65,17 +65,13 @@ class Column:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of the case of a unit and a cell.
-
-    values: the columns that are not planned, by name; body: as JSON, where a worker has told it.
-    """
+    """The end of the case of a unit and a cell; values: the columns that are not planned."""
 
     unit: int
     cell: int
     status: str
     reason: str = ""
     values: Mapping[str, Value] = field(default_factory=dict)
-    body: str = ""
 
 
 def body_of(values: Mapping[str, Value | None]) -> str:
@@ -85,15 +81,14 @@ def body_of(values: Mapping[str, Value | None]) -> str:
 
 
 def outcome_of(
-    unit: int, cell: int, status: Any, reason: Any, body: str, kinds: Mapping[str, Kind]
+    kinds: Mapping[str, Kind], unit: int, cell: int, status: Any, reason: Any, values: Any
 ) -> Outcome:
     """The outcome that a worker has told, held against the kinds of the columns.
 
     Raises:
         ValueError, TypeError, LookupError: a status, a column or a value that there is not.
     """
-    values: dict[str, Any] = json.loads(body)
-    if status not in STATUSES or not isinstance(reason, str):
+    if status not in STATUSES or not isinstance(reason, str) or not isinstance(values, dict):
         raise ValueError(f"a status that there is not: {status!r}"[:80])
     reason.encode()
     for name, value in values.items():
@@ -104,7 +99,7 @@ def outcome_of(
             value.encode()
         elif kind is int and not -(2**63) <= value < 2**63:
             raise ValueError(f"{name} is too large")
-    return Outcome(unit, cell, status, reason, values, body)
+    return Outcome(unit, cell, status, reason, values)
 
 
 def _columns(*rows: tuple[Kind, str] | tuple[Kind, str, str]) -> tuple[Column, ...]:

@@ -181,16 +181,10 @@ def read_problem_design(
 
 
 def _read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSource, ...]:
-    """The [[problems]]; one `InputError` names every entry that is none."""
-    here, faults = place.within("problems"), list[str]()
-    sources: list[ProblemSource] = []
+    """The [[problems]], of each entry one or several."""
+    here, sources = place.within("problems"), list[ProblemSource]()
     for number, entry in enumerate(entries(document, "problems", place)):
-        try:
-            sources += _read_problem(entry, document, seed, number, here)
-        except InputError as error:
-            faults.append(str(error))
-    if faults:
-        raise InputError("; ".join(faults))
+        sources += _read_problem(entry, document, seed, number, here)
     distinct([source.name for source in sources], here.at("name"))
     return tuple(sources)
 

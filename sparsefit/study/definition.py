@@ -14,10 +14,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from sparsefit.codec import Place, integer, only, shown
-from sparsefit.errors import InputError, one_of, suggestion
+from sparsefit.codec import Place, integer, only
+from sparsefit.errors import InputError, one_of
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
 from sparsefit.study.crossing import (
     SECTION_KEYS,
@@ -42,12 +42,10 @@ from sparsefit.study.keys import (
     RunRule,
     SelectionRule,
     Split,
-    StudyKind,
 )
 from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import (
     described,
-    distinct,
     names_of,
     read,
     record_of,
@@ -130,27 +128,18 @@ def read_definition(path: str | Path) -> Definition:
 def definition_of(document: Section, path: str) -> Definition:
     """The study of these tables; files that it names lie beside ``path``."""
     place = Place(path)
-    kind, kinds = document.get("kind", "flights"), get_args(StudyKind)
-    if kind not in kinds:
-        raise place.at("kind").error(
-            f"has unknown value {shown(kind)}{suggestion(str(kind), kinds)}"
-        )
-    flown = kind == "flights"
+    heading, _ = taken(Heading, document, place)
+    flown = heading.kind == "flights"
     sections = FLIGHT_SECTIONS if flown else (*names_of(ProblemRules), *PROBLEM_SECTIONS)
     only(document, (*names_of(Heading), *sections), place)
-    heading, _ = taken(Heading, document, place)
     run = read(RunRule, document, "run", place)
     outputs = read(Outputs, document, "outputs", place)
     default = {"criterion": CRITERIA["flights" if flown else "problems"]}
     rules = {**default, **section_of(document, "select", place)}
     selection = record_of(SelectionRule, rules, place.within("select"))
-    here = place.within("outputs")
-    for name in ("tables", "figures"):
-        if getattr(outputs, name):
-            distinct(getattr(outputs, name), here.at(name))
     if outputs.script and not (Path(path).parent / outputs.script).is_file():
         words = f'"{outputs.script}": no such file beside {Path(path).name}'
-        raise here.at("script").error(words)
+        raise place.within("outputs").at("script").error(words)
     words = str((outputs.tables, outputs.figures, outputs.headline))
     if flown and not run.prediction_flights and "prediction-error" in words:
         # All its cases would count as failures.

@@ -4,7 +4,7 @@
     prepare  build the library of the cells of one regression problem
     cases    fit (along one path, where that is shared) and read each cell
 
-A row is (cell, status, reason, body), as the store keeps it. To time an estimate there are
+A row is (cell, status, reason, values). To time an estimate there are
 
     ready    fly the flight of a unit, on a core of its own; answers with the memory so far
     estimate it, from its record to the answer
@@ -37,7 +37,7 @@ from sparsefit.onboard import as_flown
 from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.regression.fit import path
 from sparsefit.score import prediction_error, score, score_scales, strongest
-from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, body_of, values_of
+from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, values_of
 from sparsefit.study.crossing import Cell
 from sparsefit.study.definition import Definition
 from sparsefit.study.draw import SIMULATION, Draw, FlightRules, Logged, Logs, stream
@@ -266,7 +266,7 @@ class FlightDesk:
         for cell, reading in self.readings(unit, cells):
             estimate, values = reading.estimate, reading.values | truth_of(reading.flown.draw)
             reason = one_line(estimate.reason or "", MAX_REASON)
-            rows.append((cell.index, estimate.status, reason, body_of(values)))
+            rows.append((cell.index, estimate.status, reason, values))
         return {"rows": rows}
 
     def readings(self, unit: int, cells: Sequence[int]) -> Iterator[tuple[Cell, Reading]]:

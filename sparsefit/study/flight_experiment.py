@@ -210,12 +210,12 @@ class FlightExperiment(Experiment):
     def _outcomes(self, unit: int, cells: list[int], answer: Answer) -> list[Outcome]:
         """The outcomes that an answer tells, held against the plan; raises where it is odd."""
         outcomes, kinds = [], kinds_of(self.columns)
-        for cell, (own, status, reason, body) in zip(cells, answer.content["rows"], strict=True):
-            outcome = outcome_of(unit, own, status, reason, body, kinds)
+        for cell, (own, *content) in zip(cells, answer.content["rows"], strict=True):
+            outcome = outcome_of(kinds, unit, own, *content)
             estimate = [outcome.values.get(f"est_{name}", math.nan) for name in PARAMETERS]
             if own != cell:
                 raise ValueError("not the cases that were asked for")
-            if status == "ok" and not np.isfinite(np.array(estimate, float)).all():
+            if outcome.status == "ok" and not np.isfinite(np.array(estimate, float)).all():
                 raise ValueError("ok without an estimate")
             outcomes.append(outcome)
         return outcomes

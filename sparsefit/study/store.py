@@ -140,7 +140,7 @@ class Store:
     def put(self, outcome: Outcome, version: str) -> None:
         """Write a row of the plan, made by this version, in the place of an earlier one."""
         place = outcome.unit * self.plan.shape[1] + outcome.cell
-        content = (outcome.status, outcome.reason, version, outcome.body or body_of(outcome.values))
+        content = (outcome.status, outcome.reason, version, body_of(outcome.values))
         self.put_row(Row(self.plan.keys[place], *content))
         self.status[place], self.version[place] = outcome.status, version
 

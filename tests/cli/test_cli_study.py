@@ -309,7 +309,7 @@ def test_results_of_another_study_are_refused(capsys, finished):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("run small.toml --results file", "choose another results folder"),
+        ("run small.toml --results file", "cannot write file/small"),
         ("run small.toml --processes 0", "at least 1"),
         ("show small.toml --table eror", 'did you mean "errors"?'),
         ("show small.toml --case 0000 --output one.html", 'unknown file type ".html"'),

@@ -12,13 +12,13 @@ import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sparsefit.regression.backend import Solution
 
-NO_ROW = ("ok", "", "{}")
+NO_ROW: tuple[Any, ...] = ("ok", "", {})
 FORGED = {
     "forge": {"number": 3, "answer": {"rows": [[0, *NO_ROW]]}},
     "empty": {},

@@ -1,6 +1,5 @@
 """The flights of a study: drawn, with a vehicle that is believed, together, or logged."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -168,7 +167,7 @@ def test_cases_of_logs_have_an_estimate_and_no_error(folder):
     (row,) = desk.cases(2, [0])["rows"]
     assert study.experiment.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
     assert row[1] == "ok"
-    assert json.loads(row[3])["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
+    assert row[3]["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
 
 
 def test_a_log_that_changes_is_another_study(folder, flight):

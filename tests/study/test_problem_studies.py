@@ -235,12 +235,10 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
         ("[[problems]]\n", "flights, file, dataset, generator; entry 1 has none"),
         (CORRELATED + CORRELATED, "twice"),
-        ('[[problems]]\ndataset = "x"\n[[problems]]\nfile = "y.npz"\n', '"dataset" … y.npz'),
     ],
 )
 def test_what_is_no_problem_is_refused_by_key(tmp_path, text, said):
-    words = refusal(tmp_path, PROBLEMS + text + '[[backends]]\nname = "lasso"\n')
-    assert all(part in words for part in said.split(" … "))
+    assert said in refusal(tmp_path, PROBLEMS + text + '[[backends]]\nname = "lasso"\n')
 
 
 @pytest.mark.parametrize(
