@@ -316,7 +316,7 @@ def test_results_of_another_study_are_refused(capsys, finished):
         ("compare nowhere small.toml", "no such file"),
         ("compare small.toml small.toml --tolerance -1", "--tolerance must be"),
         ("merge small.toml folder", "holds no rows of small"),
-        ("merge small.toml results", "merges into itself"),
+        ("merge small.toml results/small", "merges into itself"),
     ],
 )
 def test_what_no_action_can_do_is_refused(capsys, finished, words, message):
@@ -352,7 +352,7 @@ class TestCompare:
 
 class TestMerge:
     def test_parts_make_the_whole(self, capsys, home, finished):
-        whole, part = read_cases("results/small"), f"{home}-half/results"
+        whole, part = read_cases("results/small"), f"{home}-half/results/small"
         os.rename("results", "before")
         code, out, _ = run(capsys, "study", "merge", finished, part)
         assert code == 0
