@@ -232,32 +232,6 @@ def _timed(name: str) -> Read:
     return lambda cases: only(numbers(cases, "repeats") > 0, numbers(cases, name))
 
 
-def _by_axes(cases: pd.DataFrame, name: str) -> tuple[Array, Array]:
-    """Return the true and the estimated pair (rows, 2) of a quantity along x and y."""
-    true, estimate = (
-        np.column_stack([numbers(cases, f"{kind}_{name}_{axis}") for axis in "xy"])
-        for kind in ("true", "est")
-    )
-    return true, estimate
-
-
-def _heading_errors(cases: pd.DataFrame) -> Array:
-    """Return |error| of the heading [degrees], up to the quarter turn that cells repeat after."""
-    quarter = math.pi / 2.0
-    turn = numbers(cases, "est_heading") - numbers(cases, "true_heading")
-    nearest = np.abs((turn + quarter / 2.0) % quarter - quarter / 2.0)
-    return only(answered(cases), np.degrees(nearest))
-
-
-def _drift_errors(cases: pd.DataFrame) -> Array:
-    """Return the error of the drift [% of U0]; cells that were found steady drift by 0."""
-    true, estimate = _by_axes(cases, "drift")
-    steady = np.isnan(estimate).all(axis=1) & (texts(cases, "est_shape") != "").to_numpy()
-    estimate[steady] = 0.0
-    missed = np.linalg.norm(estimate - true, axis=1) / numbers(cases, "true_mean_velocity")
-    return only(answered(cases), 100.0 * missed)
-
-
 def _of_each(name: str, unit: str | None, heading: str, words: str, **more: Any) -> list[Measure]:
     """Return a measure of each of U0, L_w and tau_w, in the parameter's unit where it is None."""
 
@@ -311,12 +285,6 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
     _share("silent-misses", "silent misses", f"flights called ok and off by more than {OFF:g} %",
            lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), ".2f"),
     Measure("r-squared", "", "R²", "R² of the fit", _column("r_squared"), format=".4f", more=True),
-    Measure("heading-error", "°", "heading", "|error| of the heading", _heading_errors, least=TINY),
-    Measure("sides-error", "%", "sides", "largest |error| of the cells' sides",
-            lambda cases: only(answered(cases), np.max(100.0 * np.abs(
-                np.divide(*map(np.sort, _by_axes(cases, "length_scale")[::-1])) - 1.0), axis=1)),
-            least=TINY),
-    Measure("drift-error", "%", "drift", "error of the drift, of U0", _drift_errors, least=TINY),
     Measure("prediction-error", "%", "prediction", "error of the flow along other flights",
             _column("prediction_error", 100.0), "geometric mean", 100.0, least=TINY),
     Measure("offered-prediction-error", "%", "prediction, where offered",

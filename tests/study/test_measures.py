@@ -8,8 +8,6 @@ from sparsefit.errors import InputError
 from sparsefit.study.measures import MEASURES, measure
 from tests.study.frames import TRUE, case, frame
 
-DEGREE = math.pi / 180
-
 
 def told(words, *rows):
     each = measure(words)
@@ -74,17 +72,6 @@ def test_efficiency_is_the_rms_of_error_over_bound():
               bounded(4, (9.0, 9.0), math.nan)]  # fmt: skip
     assert told("mean-velocity-efficiency", *rows, *others) == pytest.approx(math.sqrt(2.5))
     assert told("bounded", *rows, *others) == 40
-
-
-def test_shape_errors_by_hand():
-    heading = case(true_heading=1.0 * DEGREE, est_heading=88.0 * DEGREE)
-    assert told("heading-error", heading) == pytest.approx(3.0)  # cells repeat after a quarter
-    sides = {"true_length_scale_x": 4.0, "true_length_scale_y": 6.0, "est_length_scale_x": 6.6,
-             "est_length_scale_y": 4.0}  # fmt: skip
-    assert told("sides-error", case(**sides)) == pytest.approx(10.0)
-    drift = {"true_drift_x": 0.3, "true_drift_y": 0.4, "est_drift_x": math.nan,
-             "est_drift_y": math.nan, "est_shape": "square"}  # fmt: skip
-    assert told("drift-error", case(**drift)) == pytest.approx(5.0)  # found steady: all of 0.5 m/s
 
 
 def test_predictions_count_a_flight_that_is_not_offered_as_missed():

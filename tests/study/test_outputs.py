@@ -344,3 +344,16 @@ def test_the_script_of_a_shipped_study_makes_its_table(path):
             assert shipped.table(name).rows
         else:
             assert shipped.figure(name) is not None
+
+
+def test_errors_of_the_shape_of_cells_by_hand():
+    degree = math.pi / 180
+    cases = frame(case(0, **{
+        "true_heading": 1.0 * degree, "est_heading": 88.0 * degree, "flights.duration": 5.0,
+        "true_length_scale_x": 4.0, "true_length_scale_y": 6.0, "est_length_scale_x": 6.6,
+        "est_length_scale_y": 4.0, "true_drift_x": 0.3, "true_drift_y": 0.4,
+        "est_drift_x": math.nan, "est_drift_y": math.nan,
+    }))  # fmt: skip
+    geometry = entries.functions_of(sf.Study.from_file(STUDIES / "waves.toml"))["geometry"]
+    # Cells repeat after a quarter turn; what was found steady lacks all of 0.5 of 10 m/s.
+    assert geometry(cases).iloc[0].tolist() == pytest.approx([1, 3.0, 10.0, 5.0])
