@@ -39,6 +39,7 @@ BACKENDS: Mapping[str, str] = {
     "huber-lasso": "sparsefit.solvers.penalised:HuberLasso",
     "slope": "sparsefit.solvers.penalised:Slope",
     "fused-lasso": "sparsefit.solvers.penalised:FusedLasso",
+    "box-lasso": "sparsefit.solvers.penalised:BoxLasso",
     "elastic-net": "sparsefit.solvers.penalised:ElasticNet",
     "ridge": "sparsefit.solvers.penalised:Ridge",
     "group-omp": "sparsefit.solvers.searches:GroupOMP",

@@ -84,20 +84,40 @@ class Penalty(ABC):
         peaks: Array = self.block_dual_norms(values).max(axis=-2)
         return peaks
 
+    def conjugate(self, values: Array, alpha: Array | float) -> Array:
+        """max over V of <C, V> - alpha norm(V) for values C (..., k, n): (..., n), where finite.
+
+        That of a norm is 0 where its dual norm is <= alpha, and is not stated. Of weights with
+        bounds it is finite; the norm is infinite beyond them, and `in_units` divides them, too.
+        """
+        return np.zeros((*values.shape[:-2], values.shape[-1]))
+
+    def beyond(self, values: Array, alpha: Array, error: Array) -> Array:
+        """The most that the conjugate is, where each entry may be off by an error (..., 1, n).
+
+        <E, V> <= e |V|_1 <= e d norm(V), d the dual norm of entries of 1: alpha may be less by e d.
+        """
+        ones = np.ones(values.shape[-2:])
+        unit = np.maximum(self.dual_norm(ones), self.dual_norm(-ones))
+        return self.conjugate(values, alpha - error * unit)
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether the conjugate is finite, as weights have bounds."""
+        return type(self).conjugate is not Penalty.conjugate
+
     def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
         """The gauge that a dual point must not exceed alpha in: the dual norm, at most.
 
-        error (..., n): by how much each entry of the values may be off.
+        0 where the conjugate is finite. error (..., n): what each entry of the values is off by.
         """
+        if self.is_bounded:
+            return np.zeros((*values.shape[:-2], values.shape[-1]))
         peaks = self.dual_norm(values)
         if isinstance(error, float):
             return peaks
         raised: Array = peaks + error * self.dual_norm(np.ones(values.shape[-2:]))
         return raised
-
-    def excess(self, values: Array, alpha: Array) -> Array:
-        """The value that the conjugate of alpha * norm adds where it is finite: 0 for a norm."""
-        return np.zeros(values.shape[:-2])
 
     def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
         """By how much, relative to alpha, each column (k,) at zero wants to be in use; <= 0: not.
@@ -194,6 +214,11 @@ class BoundedValues(AbsoluteValues):
     def block_dual_norms(self, values: Array) -> Array:
         return self._pull(values, 0.0, self.upper > 0, self.lower < 0)
 
+    @property
+    def is_bounded(self) -> bool:
+        edges = np.concatenate([self.lower, self.upper])
+        return bool(np.any(np.isfinite(edges) & (edges != 0)))
+
     def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
         free = (np.isinf(self.upper), np.isinf(self.lower))
         peaks: Array = self._pull(values, np.atleast_1d(error)[..., None, :], *free).max(axis=-2)
@@ -206,12 +231,12 @@ class BoundedValues(AbsoluteValues):
         pull: Array = np.maximum(np.maximum(rise, fall), 0.0) / self.weights[:, None]
         return pull
 
-    def excess(self, values: Array, alpha: Array) -> Array:
-        limit = np.asarray(alpha)[..., None, None] * self.weights[:, None]
+    def conjugate(self, values: Array, alpha: Array | float) -> Array:
+        limit = alpha * self.weights[:, None]
         high = np.where(np.isinf(self.upper), 0.0, self.upper)[:, None]
         low = np.where(np.isinf(self.lower), 0.0, -self.lower)[:, None]
         over = high * np.maximum(values - limit, 0.0) + low * np.maximum(-values - limit, 0.0)
-        total: Array = over.sum(axis=(-2, -1))
+        total: Array = over.sum(axis=-2)
         return total
 
     def in_units(self, level: float) -> Self:

@@ -27,7 +27,12 @@ from sparsefit.regression.backend import Tolerance
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
-from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
+from sparsefit.regression.penalties import (
+    AbsoluteValues,
+    BoundedValues,
+    Penalty,
+    SquaredNorm,
+)
 
 EPS = ("eps_abs", "eps_rel")
 BEHIND_CVXPY: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
@@ -98,6 +103,11 @@ class Clarabel:
         return weights
 
 
+def _within_bounds(penalty: Penalty, values: Array) -> Array:
+    """The nearest V (k, n) that is no further than an interior point is allowed to be."""
+    return penalty.prox(values, 0.0) if isinstance(penalty, BoundedValues) else values
+
+
 def _no_conic_form(penalty: Penalty) -> str:
     stated = type(penalty).conic is not Penalty.conic
     return "" if stated else f"{type(penalty).__name__} states no conic form"
@@ -126,6 +136,7 @@ def _solve_on(
     else:
         program = _Program.of(columns, target, inner, alpha, design.samples)
         values, status = program.solved("clarabel", stop)
+        values = _within_bounds(inner, values)
     into[...] = 0.0
     into[index] = values
     return "Solved" if status == "optimal" else status
@@ -212,7 +223,7 @@ class Cvxpy:
             values, status = program.solved(self.name, tolerance or 1e-9, alpha)
             if status != "optimal":
                 warnings.warn(f"{self.name}: {status}", RuntimeWarning, stacklevel=2)
-            weights.append(values)
+            weights.append(_within_bounds(penalty, values))
         return np.stack(weights)
 
 

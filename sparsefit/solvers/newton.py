@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.regression.certificate import NEAR
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import Penalty
 
@@ -139,7 +140,12 @@ def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -
         square += ridge * float(np.vdot(values, values))
     s = dual_share(product, square, float(penalty.constraint(correlation).max(initial=0.0)), alpha)
     dual = s * product - 0.5 * s * s * square
-    return 2.0 * max(primal - dual + float(penalty.excess(s * correlation, np.array(alpha))), 0.0)
+    if penalty.is_bounded:  # at the optimum s = 1 is the best
+        choices = np.array([s, *(min(limit, 1.0 - near) for near in NEAR)])
+        pull = np.multiply.outer(choices, correlation)
+        duals = choices * product - 0.5 * choices**2 * square
+        dual = float((duals - penalty.conjugate(pull, alpha).sum(axis=-1)).max())
+    return 2.0 * max(primal - dual, 0.0)
 
 
 def dual_share(product: float, square: float, peak: float, alpha: float) -> float:

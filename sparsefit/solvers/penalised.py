@@ -142,6 +142,27 @@ def _signed(plain: AbsoluteValues, positive: bool) -> AbsoluteValues:
 
 
 @dataclass(frozen=True)
+class BoxLasso(PenalisedPath):
+    """1/(2m) |Y - ZV|^2 + alpha sum |V_jt| where lower <= W_jt <= upper for the weights W of theta.
+
+    lower <= 0 <= upper, in the unit of the weights; None: there is no such bound.
+    """
+
+    name: ClassVar[str] = "box-lasso"
+    solver: str = "newton"
+    lower: float | None = setting(None, low=-np.inf, high=0.0)
+    upper: float | None = setting(None, low=0.0)
+
+    def penalty(self, problem: RegressionProblem) -> Penalty:
+        plain, rms = lasso_penalty(problem.columns), problem.design.rms
+        if self.lower is None and self.upper is None:
+            return plain
+        lower, upper = -np.inf if self.lower is None else self.lower, self.upper
+        high = np.inf if upper is None else upper
+        return BoundedValues(plain.weights, lower * rms, high * rms)
+
+
+@dataclass(frozen=True)
 class Ridge(PenalisedPath):
     """1/(2m) |Y - ZV|^2 + alpha/2 |V|^2, alpha = alpha_fraction * k (Hoerl and Kennard 1970).
 

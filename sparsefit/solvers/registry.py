@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BEHIND_CVXPY",
-    "Late",
+    "LateError",
     "Recipe",
     "answers",
     "shipped_solvers",
@@ -58,7 +58,7 @@ FOREVER = 1e6  # s: the longest wait that the system takes
 SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **dict.fromkeys(PEERS, Peer)}
 
 
-class Late(SparsefitError):  # noqa: N818 - it says what the matter is
+class LateError(SparsefitError):
     """A command was ended at one of its limits; the message goes on from `the solve`."""
 
 
@@ -171,7 +171,7 @@ def answers(
     """Solutions at descending penalty fractions, in the units of the problem's columns.
 
     Exceptions and warnings are told as by `heard`. A `Command` keeps its own clock, which each of
-    them has, and its own limits: raises `Late` where it was ended at one.
+    them has, and its own limits: raises `LateError` where it was ended at one.
     """
     fractions, count = np.array(alpha_fractions, dtype=float), len(alpha_fractions)
     design, shape = problem.design, (problem.columns, problem.targets)
@@ -188,7 +188,7 @@ def answers(
         is_own = isinstance(raw, Timed) and isinstance(solver, Command)
         return weights / design.rms[:, None], (raw.wall, raw.cpu) if is_own else None
 
-    answer, said = heard(solver.name, solved, Late)
+    answer, said = heard(solver.name, solved, LateError)
     if answer is None:
         return (said,) * count
     weights, clock = answer
@@ -267,7 +267,7 @@ class Command:
     ) -> Array | Timed:
         """Weights (p, k, n) of the program, and its time.
 
-        Raises InputError as it fails, `Late` where it was ended at a limit.
+        Raises InputError as it fails, `LateError` where it was ended at a limit.
         """
         if reason := self.takes(penalty):
             raise InputError(reason)
@@ -339,10 +339,10 @@ class Command:
         remaining[part] -= perf_counter() - began
         return line
 
-    def _late(self, part: str) -> Late:
+    def _late(self, part: str) -> LateError:
         if part == "solve":
-            return Late(f"took longer than {self.limit:g} s")
-        return Late(f"took longer than {self.start:g} s to start, to read or to write")
+            return LateError(f"took longer than {self.limit:g} s")
+        return LateError(f"took longer than {self.start:g} s to start, to read or to write")
 
 
 def _cpu_seconds(pid: int) -> float:

@@ -40,7 +40,7 @@ from sparsefit.regression.backend import PathBackend, PenalisedBackend, numeric_
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
-from sparsefit.solvers.registry import Late, Recipe, answers
+from sparsefit.solvers.registry import LateError, Recipe, answers
 from sparsefit.study.data_sets import Data
 from sparsefit.study.toml_file import canonical_json
 from sparsefit.study.worker import resident
@@ -237,7 +237,7 @@ class SolverDesk:
         """A first call, of which nothing is an answer but that a command was late."""
         try:
             self._solve()
-        except Late as late:
+        except LateError as late:
             return {"late": str(late)}
         gc.collect()
         gc.freeze()  # later collections pass over what is loaded now
@@ -254,7 +254,7 @@ class SolverDesk:
         """Solve, and write what is an answer; all of it counts as time."""
         try:
             solutions = self._solve()
-        except Late as late:
+        except LateError as late:
             return {"late": str(late)}
         for into, solution in zip(self._into, solutions, strict=False):
             if solution.status != "error" and solution.weights is not None:

@@ -1,4 +1,4 @@
-"""The certificate, from rows and from the Gram matrix, against hand values and high precision."""
+"""The certificate against hand values and high precision."""
 
 import itertools
 from dataclasses import replace
@@ -11,53 +11,45 @@ from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.regression import certificate
-from sparsefit.regression.certificate import duality_gaps, gram_gaps
+from sparsefit.regression.certificate import DualPoint, duality_gaps, of_signs
 from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.group_penalties import GroupNorms
-from sparsefit.regression.penalties import alpha_max, lasso_penalty
+from sparsefit.regression.losses import RootSquares
+from sparsefit.regression.penalties import BoundedValues, alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem, compressed
+from sparsefit.solvers.exact import exact_path
 from tests.problems import DEGENERATE_KINDS, degenerate, regular
 
 THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
 TARGET = np.array([[3.0], [1.0]])  # Z = theta, Z'Z/m = I, c = Z'y/m = (2, 1), |y|^2/2m = 2.5
 
 
-SOURCES = ("rows", "gram")
-both = pytest.mark.parametrize("source", SOURCES)
-
-
 def statistics_of(theta, target):
     return Statistics.on(Design(np.asarray(theta), len(theta)), np.asarray(target))
 
 
-def certified(theta, target, weights, alphas, penalty, source="rows"):
-    """Certificates of weights (p, k, n) from the rows or from the Gram matrix."""
-    statistics = statistics_of(theta, target)
-    weights, alphas = np.asarray(weights), np.asarray(alphas)
-    if source == "gram":
-        return gram_gaps(statistics, weights, alphas, penalty)
-    return duality_gaps(Design(theta, len(theta)), target, weights, alphas, penalty)
+def certified(theta, target, weights, alphas, penalty):
+    """Certificates of weights (p, k, n)."""
+    design, alphas = Design(theta, len(theta)), np.asarray(alphas)
+    return duality_gaps(design, target, np.asarray(weights), alphas, penalty)
 
 
-def certify(theta, target, weights, alpha, penalty, source="rows"):
-    return certified(theta, target, np.asarray(weights)[None], [alpha], penalty, source)[0]
+def certify(theta, target, weights, alpha, penalty):
+    return certified(theta, target, np.asarray(weights)[None], [alpha], penalty)[0]
 
 
-@both
-def test_primal_and_dual_of_two_columns_worked_by_hand(source):
+def test_primal_and_dual_of_two_columns_worked_by_hand():
     # v = (1, 0): r = (2, 0), |r|^2/2m = 1, alpha |v| = 0.5 and so P = 1.5.
     # Z'r/m = (1, 1), s = min(<r, y>/|r|^2 = 1.5, alpha = 0.5), D = (0.5 * 6 - 0.125 * 4)/2 = 1.25.
-    found = certify(THETA, TARGET, [[1.0], [0.0]], 0.5, lasso_penalty(2), source)
+    found = certify(THETA, TARGET, [[1.0], [0.0]], 0.5, lasso_penalty(2))
     assert (found.primal, found.dual) == pytest.approx((1.5, 1.25))
     assert found.value == pytest.approx(0.25 / 2.5)
     assert found.kind == "duality_gap"
 
 
-@both
-def test_gap_vanishes_at_the_soft_threshold_of_orthogonal_columns(source):
-    assert certify(THETA, TARGET, [[1.5], [0.5]], 0.5, lasso_penalty(2), source).value <= 1e-16
-    assert certify(THETA, TARGET, [[0.5], [0.0]], 1.5, lasso_penalty(2), source).value <= 1e-16
+def test_gap_vanishes_at_the_soft_threshold_of_orthogonal_columns():
+    assert certify(THETA, TARGET, [[1.5], [0.5]], 0.5, lasso_penalty(2)).value <= 1e-16
+    assert certify(THETA, TARGET, [[0.5], [0.0]], 1.5, lasso_penalty(2)).value <= 1e-16
 
 
 def lasso_by_enumeration(theta, target, rms, alpha):
@@ -81,9 +73,8 @@ def lasso_by_enumeration(theta, target, rms, alpha):
     return best
 
 
-@both
 @pytest.mark.parametrize("seed", range(6))
-def test_gap_bounds_the_true_suboptimality_in_high_precision(seed, source):
+def test_gap_bounds_the_true_suboptimality_in_high_precision(seed):
     rng = np.random.default_rng(seed)
     theta, target = rng.normal(size=(7, 3)) * [1.0, 1e3, 1e-3], rng.normal(size=(7, 1))
     s = statistics_of(theta, target)
@@ -93,7 +84,7 @@ def test_gap_bounds_the_true_suboptimality_in_high_precision(seed, source):
         optimum = lasso_by_enumeration(theta, target, s.rms, alpha)
         for size in (1.0, 1e-2, 1e-5):
             weights = (rng.normal(size=(3, 1)) * size) / s.rms[:, None]
-            found = certify(theta, target, weights, alpha, lasso_penalty(3), source)
+            found = certify(theta, target, weights, alpha, lasso_penalty(3))
             exact, _ = exactly(theta, target, s.rms, weights, alpha, lasso_penalty(3))
             null = s.null_objective
             assert abs(found.primal - float(exact)) <= 1e-14 * null
@@ -103,23 +94,22 @@ def test_gap_bounds_the_true_suboptimality_in_high_precision(seed, source):
             assert found.rounding <= 1e-12 * (1 + np.abs(weights * s.rms[:, None]).sum()) ** 2
     problem = RegressionProblem.from_arrays(theta, target)
     weights = backends.get("lasso", alpha_fraction=fraction).solve(problem).weights
-    tight = certify(theta, target, weights, alpha, lasso_penalty(3), source)
+    tight = certify(theta, target, weights, alpha, lasso_penalty(3))
     assert tight.primal == pytest.approx(float(optimum), rel=1e-14)
     assert tight.dual == pytest.approx(float(optimum), rel=1e-13)
 
 
-@both
 @pytest.mark.parametrize("sparse", [True, False])
-def test_gathering_columns_and_points_together_changes_nothing(sparse, source):
+def test_gathering_columns_and_points_together_changes_nothing(sparse):
     rng = np.random.default_rng(0)
     theta, target = rng.normal(size=(50, 8)), rng.normal(size=(50, 2))
     weights = rng.normal(size=(3, 8, 2))
     if sparse:
         weights[:, 2:] = 0.0
     alphas, penalty = np.array([0.3, 0.2, 0.1]), lasso_penalty(8)
-    together = certified(theta, target, weights, alphas, penalty, source)
+    together = certified(theta, target, weights, alphas, penalty)
     for one, values, alpha in zip(together, weights, alphas, strict=True):
-        alone = certify(theta, target, values, alpha, penalty, source)
+        alone = certify(theta, target, values, alpha, penalty)
         assert (one.primal, one.dual) == pytest.approx((alone.primal, alone.dual), rel=1e-13)
 
 
@@ -128,21 +118,19 @@ def test_gathering_columns_and_points_together_changes_nothing(sparse, source):
     target_unit=st.sampled_from([1e-12, 1e-6, 1.0, 1e6, 1e12]),
     seed=st.integers(0, 50),
     joint=st.booleans(),
-    source=st.sampled_from(SOURCES),
 )
 @settings(max_examples=80)
-def test_gap_does_not_depend_on_units(theta_unit, target_unit, seed, joint, source):
+def test_gap_does_not_depend_on_units(theta_unit, target_unit, seed, joint):
     problem = regular(seed)
     weights = np.random.default_rng(seed).normal(size=(12, 2))
     penalty = GroupNorms(problem.groups, np.ones(4), joint)
-    plain = certify(problem.theta, problem.target, weights, 0.3, penalty, source)
+    plain = certify(problem.theta, problem.target, weights, 0.3, penalty)
     changed = certify(
         problem.theta * theta_unit,
         problem.target * target_unit,
         weights * (target_unit / theta_unit),
         0.3 * target_unit,
         penalty,
-        source,
     )
     assert changed.value == pytest.approx(plain.value, rel=1e-12)
     assert changed.rounding == pytest.approx(plain.rounding, rel=1e-2)
@@ -165,9 +153,8 @@ def test_gap_is_never_negative_and_dual_never_above_primal(seed, kind, size):
     assert found.dual <= found.primal + 1e-12 * s.null_objective
 
 
-@both
-def test_zero_target_has_gap_zero(source):
-    found = certify(THETA, np.zeros((2, 1)), np.zeros((2, 1)), 0.0, lasso_penalty(2), source)
+def test_zero_target_has_gap_zero():
+    found = certify(THETA, np.zeros((2, 1)), np.zeros((2, 1)), 0.0, lasso_penalty(2))
     assert (found.value, found.primal, found.dual, found.rounding) == (0.0, 0.0, 0.0, 0.0)
 
 
@@ -198,7 +185,6 @@ def exactly(theta, target, rms, weights, alpha, penalty):
     return primal, (primal - dual) / null
 
 
-@both
 @given(
     seed=st.integers(0, 10_000),
     size=st.sampled_from([0.0, 1.0, 1e3, 1e6]),
@@ -206,7 +192,7 @@ def exactly(theta, target, rms, weights, alpha, penalty):
     penalty=st.sampled_from(["lasso", "separate", "joint"]),
 )
 @settings(max_examples=30)
-def test_rounding_covers_what_double_precision_loses(source, seed, size, fitted, penalty):
+def test_rounding_covers_what_double_precision_loses(seed, size, fitted, penalty):
     # Nearly equal columns with large opposite weights: they cancel in Z V, and so do the sums.
     # Where the weights fit the target, the residual is all rounding.
     rng = np.random.default_rng(seed)
@@ -219,7 +205,7 @@ def test_rounding_covers_what_double_precision_loses(source, seed, size, fitted,
     groups = np.array([2, 0, 1, 1, 2, 2])  # sizes 1, 2 and 3, not in order
     blocks = GroupNorms(groups, np.sqrt([1.0, 2.0, 3.0]), penalty == "joint")
     blocks = lasso_penalty(6) if penalty == "lasso" else blocks
-    found = certify(theta, target, weights, 0.05, blocks, source)
+    found = certify(theta, target, weights, 0.05, blocks)
     with mp.workdps(60):
         rms = statistics_of(theta, target).rms
         primal, exact = exactly(theta, target, rms, weights, 0.05, blocks)
@@ -236,12 +222,11 @@ def test_the_error_of_sums_over_many_rows_is_within_the_bound():
     theta[0] = 1.0
     theta[1:, 1] *= -1.0
     target, weights = theta[:, :1] * 3.0, np.array([[1.0], [1.0]])
-    for source in SOURCES:
-        found = certify(theta, target, weights, 0.01, lasso_penalty(2), source)
-        with mp.workdps(60):
-            rms = statistics_of(theta, target).rms
-            exact = exactly(theta, target, rms, weights, 0.01, lasso_penalty(2))[1]
-            assert abs(exact - found.value) <= found.rounding
+    found = certify(theta, target, weights, 0.01, lasso_penalty(2))
+    with mp.workdps(60):
+        rms = statistics_of(theta, target).rms
+        exact = exactly(theta, target, rms, weights, 0.01, lasso_penalty(2))[1]
+        assert abs(exact - found.value) <= found.rounding
 
 
 def test_a_compressed_problem_has_the_gap_of_its_samples():
@@ -254,39 +239,72 @@ def test_a_compressed_problem_has_the_gap_of_its_samples():
     assert (small.statistics.samples, small.design.terms) == (900, 7)
     whole = certified(theta, target, weights, [0.1], lasso_penalty(5))[0]
     alphas, penalty = np.array([0.1]), lasso_penalty(5)
-    by_rows = duality_gaps(small.design, small.target, weights, alphas, penalty)
-    by_gram = gram_gaps(small.statistics, weights, alphas, penalty)
-    for found in (by_rows[0], by_gram[0]):
-        assert (found.value, found.primal) == pytest.approx((whole.value, whole.primal), rel=1e-12)
-        assert found.rounding < whole.rounding  # 7 rows are summed, not 900
+    (found,) = duality_gaps(small.design, small.target, weights, alphas, penalty)
+    assert (found.value, found.primal) == pytest.approx((whole.value, whole.primal), rel=1e-12)
+    assert found.rounding < whole.rounding  # 7 rows are summed, not 900
 
 
 @pytest.mark.parametrize("alpha", [0.5, 2.0], ids=["by the columns", "by the norm"])
-def test_the_bound_of_signs_has_each_rounding_on_its_safe_side(alpha, monkeypatch):
-    """Z'Z/m = I, V = (2, 1), u = (1, 1), |u|_1 = 2, <U, Y>/m = 3, |U|^2/m = 2, y^2 = 5."""
-    gamma, y = 1e-3, np.sqrt(5.0)
-    monkeypatch.setattr(certificate, "rounding_of", lambda count: gamma)
-    plain = certificate.Certificate("duality_gap", 1.0, 3.0 * alpha, 0.0, 0.0)
-    weights = np.array([[2.0], [1.0]])
-    found = certificate.sharpened(statistics_of(THETA, TARGET), weights, alpha, plain, 0.0)
-    dual = min(alpha, y / np.sqrt(2.0)) * 3.0
-    long = np.sqrt(2.0 * (1.0 + gamma) + 4.0 * gamma)
-    least = min(alpha / (1.0 + 3.0 * gamma), y / long) * (3.0 - 2.0 * gamma * y)
-    moved = gamma * y * (2.0 * y + 3.0) + 4.0 * gamma * (3.0 * alpha + dual)
-    assert found.value == pytest.approx((3.0 * alpha - dual) / 5.0, abs=1e-12)
-    assert found.bound == pytest.approx((3.0 * alpha - least + moved) / 5.0, rel=1e-12)
+def test_a_dual_point_has_each_rounding_on_its_safe_side(alpha):
+    """Z'Z/m = I, u = Z (1, 1): C = (1, 1), r = 2, q = 3; y^2 = 5; gamma 1e-3, by hand."""
+    design, gamma, y = Design(THETA, 2), 1e-3, np.sqrt(5.0)
+    (point, _) = of_signs(design, TARGET, np.array([[2.0], [1.0]]), gamma)
+    penalty = replace(lasso_penalty(2), loss=RootSquares())
+    dual, least = point.bounds(np.array([alpha]), penalty, np.array([y]))
+    assert dual == pytest.approx(min(alpha, y / np.sqrt(2.0)) * 3.0, rel=1e-12)
+    error = gamma * np.sqrt(2.0)  # of C
+    longer = np.sqrt(2.0 * (1.0 + gamma) + 2.0 * np.sqrt(2.0) * error)
+    s = min(alpha / ((1.0 + error) * (1.0 + gamma)), y / longer)
+    off = s * y * error + s**2 * np.sqrt(2.0) * error + gamma * (12.0 * s + s**2)
+    assert least == pytest.approx(3.0 * s - off, rel=1e-12)
 
 
 def test_signs_are_those_of_weights_that_are_not_rounding():
     """An interior point's 1e-12 of the wrong sign spoils the dual point of its exact fit."""
-    plain = certificate.Certificate("duality_gap", 0.5, 1.0, 0.0, 0.0)
-    weights, statistics = np.array([[2.0], [-1e-12]]), statistics_of(THETA, 2.0 * THETA[:, :1])
-    spoilt, clear = (
-        certificate.sharpened(statistics, weights, 0.5, plain, floor) for floor in (0.0, 1e-8)
-    )
-    assert clear.value == 0.0
-    assert clear.bound < 1e-13
-    assert spoilt.value >= clear.value
+    root = replace(lasso_penalty(2), loss=RootSquares())
+    spoilt = np.array([[2.0], [-1e-12]])
+    found = certify(THETA, 2.0 * THETA[:, :1], spoilt, 0.5, root)
+    assert found.bound < 1e-11
+
+
+def test_a_box_by_hand():
+    """Z'Z/m = I, C = (2, 1), -1 <= V <= 1, alpha = 1/2: V = (1, 1/2), D at s = 1."""
+    box = BoundedValues(np.ones(2), -np.ones(2), np.ones(2))
+    found = certify(THETA, TARGET, [[1.0], [0.5]], 0.5, box)
+    # R'R/m = 5 - 2 (2 + 1/2) + 5/4 = 5/4, P = 5/8 + 3/4; Z'R/m = (1, 1/2), q = 5/2, and the
+    # conjugate is 1 (1 - 1/2): D = 5/2 - 5/8 - 1/2 = P.
+    assert (found.primal, found.dual) == pytest.approx((1.375, 1.375))
+    assert found.bound < 1e-13
+    off = certify(THETA, TARGET, [[0.5], [0.5]], 0.5, box)  # C = (3/2, 1/2), q = 7/2, r = 5/2
+    assert (off.primal, off.dual) == pytest.approx((1.75, 1.25))  # s = 1: 7/2 - 5/4 - 1
+
+
+def test_the_dual_point_of_a_box_has_each_rounding_on_its_safe_side():
+    """The numbers of the box above, each off by its own error."""
+    box = BoundedValues(np.ones(2), -np.ones(2), np.ones(2))
+    errors = (np.array([[size]]) for size in (1e-3, 2e-3, 3e-3))  # of C, r and q
+    pull, numbers = np.array([[[1.0], [0.5]]]), (np.array([[1.25]]), np.array([[2.5]]))
+    dual, least = DualPoint(pull, *numbers, *errors, 1e-4).bounds(np.array([0.5]), box, np.ones(1))
+    assert dual == pytest.approx(1.375)  # s = 1; s = q/r = 2 gives 5/2 - 2
+    # q, r/2, |V| <= 1 times what the first of C is off, gamma (4 q + r/2 + conjugate)
+    assert dual - least == pytest.approx(3e-3 + 1e-3 + 1e-3 + 1e-4 * (10.0 + 0.625 + 0.501))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_gap_of_bounds_is_that_to_the_optimum_or_more(seed):
+    rng = np.random.default_rng(seed)
+    theta, target = rng.normal(size=(30, 5)), rng.normal(size=(30, 1))
+    statistics = statistics_of(theta, target)
+    upper = np.array([0.05, 0.1, np.inf, np.inf, 0.0])  # a box, a half-line and all numbers
+    box = BoundedValues(rng.uniform(0.5, 2, 5), np.array([-0.1, 0, 0, -np.inf, -0.02]), upper)
+    path = exact_path(statistics.design, target, box, np.array([0.02]))
+    optimum = path.weights[0]
+    least = certify(theta, target, optimum / statistics.rms[:, None], 0.02, box)
+    for size in (1.0, 1e-2, 0.0):
+        weights = box.prox(optimum + size * rng.normal(size=(5, 1)), 0.0)
+        found = certify(theta, target, weights / statistics.rms[:, None], 0.02, box)
+        assert found.bound * statistics.null_objective >= found.primal - least.primal - 1e-15
+    assert least.bound < 1e-9
 
 
 def test_no_column_with_a_positive_correlation_leaves_a_proven_zero():

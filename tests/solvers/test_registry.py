@@ -13,7 +13,7 @@ from sparsefit.regression.backend import plugins
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, SquaredNorm, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.registry import Late, Recipe, answers, solver, solver_names
+from sparsefit.solvers.registry import LateError, Recipe, answers, solver, solver_names
 
 MINE = '''
 from __future__ import annotations
@@ -183,5 +183,5 @@ def test_a_command_that_fails_says_so(tmp_path):
 def test_a_command_is_ended_at_its_limits(words, limits, reason):
     limit, start = limits
     command = Recipe("theirs", command=("sh", "-c", words), limit=limit, start=start).make()
-    with pytest.raises(Late, match=reason):
+    with pytest.raises(LateError, match=reason):
         answers(command, problem(), lasso_penalty(6), (1.0,))

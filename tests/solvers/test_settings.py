@@ -30,6 +30,7 @@ REFUSED = [
     ("sparse-group-lasso", "l1_ratio", 1.5, "l1_ratio"),
     ("elastic-net", "l1_ratio", 0.0, "for none of them use ridge"),
     ("huber-lasso", "selection", "bic", "selection of huber-lasso"),
+    *(("box-lasso", *bad) for bad in (("lower", 1.0, "lower"), ("upper", math.inf, "upper"))),
     ("group-mcp", "gamma", 1.0, "gamma"),
     *((name, "power", -1.0, "power") for name in ("adaptive-lasso", "adaptive-group-lasso")),
     *((name, "pilot_ridge", 0, "pilot_ridge") for name in ("adaptive-lasso",)),
@@ -60,6 +61,9 @@ ENDS = [  # (a back-end at the end of a setting, the simpler one that it is ther
     ("adaptive-group-lasso", {"power": 0.0}, "group-lasso", {}, 1e-9),
     ("group-mcp", {"gamma": 1e9}, "group-lasso", {}, 1e-5),
     ("elastic-net", {"l1_ratio": 1.0}, "lasso", {}, 0.0),
+    ("box-lasso", {}, "lasso", {}, 0.0),
+    ("box-lasso", {"lower": 0.0}, "lasso", {"positive": True}, 0.0),
+    ("box-lasso", {"lower": -1e6, "upper": 1e6}, "lasso", {}, 1e-9),
     *(
         ("sparse-group-lasso", {"l1_ratio": ratio, "separate": separate}, name, more, 1e-5)
         for separate in (True, False)
