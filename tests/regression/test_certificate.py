@@ -281,10 +281,10 @@ def test_a_box_by_hand():
 
 
 def test_the_dual_point_of_a_box_has_each_rounding_on_its_safe_side():
-    """The numbers of the box above, each off by its own error."""
+    """The numbers of the box above, but the second of C, each off by its own error."""
     box = BoundedValues(np.ones(2), -np.ones(2), np.ones(2))
     errors = (np.array([[size]]) for size in (1e-3, 2e-3, 3e-3))  # of C, r and q
-    pull, numbers = np.array([[[1.0], [0.5]]]), (np.array([[1.25]]), np.array([[2.5]]))
+    pull, numbers = np.array([[[1.0], [0.25]]]), (np.array([[1.25]]), np.array([[2.5]]))
     dual, least = DualPoint(pull, *numbers, *errors, 1e-4).bounds(np.array([0.5]), box, np.ones(1))
     assert dual == pytest.approx(1.375)  # s = 1; s = q/r = 2 gives 5/2 - 2
     # q, r/2, |V| <= 1 times what the first of C is off, gamma (4 q + r/2 + conjugate)
