@@ -138,9 +138,11 @@ def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -
     if ridge:
         correlation = correlation - ridge * values
         square += ridge * float(np.vdot(values, values))
-    s = dual_share(product, square, float(penalty.constraint(correlation).max(initial=0.0)), alpha)
+    peak = float(penalty.constraint(correlation).max(initial=0.0))
+    s = dual_share(product, square, peak, alpha)
     dual = s * product - 0.5 * s * s * square
     if penalty.is_bounded:  # at the optimum s = 1 is the best
+        limit = alpha / peak if peak > 0 else np.inf
         choices = np.array([s, *(min(limit, 1.0 - near) for near in NEAR)])
         pull = np.multiply.outer(choices, correlation)
         duals = choices * product - 0.5 * choices**2 * square
