@@ -28,6 +28,7 @@ from sparsefit.study.measures import (
     numeric_factors,
     of_parameters,
 )
+from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.solver_times import is_race
 from sparsefit.study.table import Value, plain
 
@@ -251,3 +252,10 @@ def levels_of(cases: pd.DataFrame, factor: str) -> pd.Series:
 def factor_words(factor: str) -> str:
     """Return a factor in words, `measurement noise`."""
     return factor.rpartition(".")[2].replace("_", " ")
+
+
+def unit_of(factor: str) -> str:
+    """Return the unit of a factor; empty where it has none."""
+    name = factor.rpartition(".")[2]
+    unit = "m" if name in ("lower", "upper", "step") else ""
+    return QUANTITIES[name].unit if name in QUANTITIES else unit

@@ -20,7 +20,7 @@ from sparsefit.errors import InputError
 from sparsefit.plot.style import COLOURS, GREY, styled, with_unit, wrapped
 from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import PARAMETERS
-from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text
+from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text, unit_of
 from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, in_words, measure, numbers
 from sparsefit.study.panels import LOG_RANGE, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
@@ -29,16 +29,6 @@ from sparsefit.study.table import sentence
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-UNIT_OF = {
-    **dict.fromkeys(("duration", "windows", "gap_duration"), "s"),
-    **dict.fromkeys(("process_noise", "thrust_acceleration"), "m/s²"),
-    **dict.fromkeys(("velocity_noise", "wind"), "m/s"),
-    **dict.fromkeys(("position_noise", "turbulence_length", "lower", "upper", "step"), "m"),
-    **{"sample_rate": "Hz", "measurement_noise": "m/s / m", "heading": "rad"},
-    "together": "flights",
-    **UNITS,
-}
 
 
 class Picture(NamedTuple):
@@ -58,10 +48,8 @@ def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArr
 
     def words(factor: str, level: Any) -> str:
         text = level_text(level)
-        if "." not in factor:
-            return text
-        unit = UNIT_OF.get(factor.rpartition(".")[2], "")
-        return f"{factor_words(factor)} {text} {unit}".rstrip()
+        words = f"{factor_words(factor)} {text} {unit_of(factor)}"
+        return words.rstrip() if "." in factor else text
 
     columns = [("", np.arange(len(cases)))]
     if entry.columns:
@@ -102,10 +90,10 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
         is_number = is_numeric_dtype(cases[along])
         shown = np.array(levels, dtype=float) if is_number else list(levels)
         x = np.asarray(shown if is_number else range(len(levels)), dtype=float)
-        x_label = with_unit(factor_words(along), UNIT_OF.get(along.rpartition(".")[2], ""))
+        x_label = with_unit(factor_words(along), unit_of(along))
         for each in entry.measures:
             values = each.values(cases)
-            summary = "" if each.summary in ("share", "number") else f"{each.summary} "
+            summary = "" if each.summary == "share" else f"{each.summary} "
             words = with_unit(f"{summary}{each.heading or each.words}", each.unit)
             for row in _grid(entry, cases):
                 grid.append([

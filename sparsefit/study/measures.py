@@ -282,8 +282,10 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
     _share("hits", "hits", "flights whose nearest grid scale was chosen",
            lambda cases: only(in_flow(cases), answered(cases)
                               & (texts(cases, "hit") == "True").to_numpy()), ".0f", more=True),
-    _share("silent-misses", "silent misses", f"flights called ok and off by more than {OFF:g} %",
-           lambda cases: only(in_flow(cases), ended(cases, "ok") & off(cases)), ".2f"),
+    _share("silent-misses", "silent misses",
+           f"flights called ok and off by more than {OFF:g} %, or without a flow",
+           lambda cases: only(texts(cases, "flow").to_numpy() != "unknown",
+                              ended(cases, "ok") & (off(cases) | in_still_air(cases))), ".2f"),
     Measure("r-squared", "", "R²", "R² of the fit", _column("r_squared"), format=".4f", more=True),
     Measure("prediction-error", "%", "prediction", "error of the flow along other flights",
             _column("prediction_error", 100.0), "geometric mean", 100.0, least=TINY),

@@ -126,8 +126,8 @@ _ROWS = (
     _q("believed_drag_ratio", "", POSITIVE, "Quadratic drag that the estimator is told, over it."),
     _q("believed_response_time", "s", POSITIVE, "tau that it is told in place of the true law."),
     _without_key("believed_drag"),
-    _q("together", "", Range(least=1.0, most=64.0),
-       "How many flights through the same flow are estimated as one, each from its own place."),
+    _q("together", "flights", Range(least=1.0, most=64.0),
+       "How many through the same flow are estimated as one, each from its own place."),
     _q("lost_samples", "", SHARE, "Share of the samples that the log lost, one by one.",
        fault="lost_samples"),
 )  # fmt: skip

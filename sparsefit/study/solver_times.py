@@ -58,12 +58,6 @@ def times_to(cases: pd.DataFrame, accuracy: float) -> dict[str, pd.DataFrame]:
     return every
 
 
-def strictest(cases: pd.DataFrame) -> tuple[str, float, dict[str, pd.DataFrame]]:
-    """Return the strictest accuracy in words, the limit of a solve [s], and `times_to` it."""
-    level = accuracies(cases)[-1]
-    return accuracy_text(level), cases.attrs.get("limit", LIMIT), times_to(cases, level)
-
-
 def is_race(cases: pd.DataFrame) -> bool:
     """Return whether an objective has several solvers that ran."""
     ran = cases[cases["status"] != "skipped"]
@@ -73,7 +67,7 @@ def is_race(cases: pd.DataFrame) -> bool:
 def places(cases: pd.DataFrame) -> dict[str, int]:
     """Return the best place of every solver in any objective, 0 for the fastest."""
     best: dict[str, int] = {}
-    for seconds in strictest(cases)[2].values():
+    for seconds in times_to(cases, accuracies(cases)[-1]).values():
         for place, name in enumerate(map(str, seconds)):
             best[name] = min(place, best.get(name, place))
     return best

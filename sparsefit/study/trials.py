@@ -184,9 +184,9 @@ class Trials:
 
         silent = error = np.zeros(len(cases))
         if "est_mean_velocity" in cases:
-            missed = np.where(flown, measures.off(cases), measures.in_still_air(cases))
-            silent = (missed & measures.ended(cases, "ok")).astype(float)
-            error = measures.MEASURES["largest-error"].read(cases)
+            silent, error = (
+                measures.MEASURES[name].read(cases) for name in ("silent-misses", "largest-error")
+            )
         largest = resampling.quantile(by_regime(error), 0.95)
         is_flown = (by_regime(flown.astype(float)) > 0).any(axis=-1)
         values = {
