@@ -34,11 +34,9 @@ cdef enum:
     FINE = 0
     DEPENDENT = 1  # the column lies in the span of the active ones
     WORN = 2  # M no longer describes the active block: walk on with another
-    NO_MEMORY = 3
     OPEN = 0  # a column outside, that may enter; others are WAITING,
     WAITING = 1  # as they depend on active ones, or
     ACTIVE = 2
-    ROOM = 64  # active columns that there is room for at first
     STALE_AGE = 10  # updates of M before another is worth its price
     ATTEMPTS = 8  # at one alpha, those after the third with a larger factor on what is dependent
     FRESH_STARTS = 60  # at one alpha, with another M
@@ -82,10 +80,10 @@ cdef class Homotopy:
 
     def __init__(self, gram, cross, ridge):
         self.gram, self.cross, self.ridge, self.k = gram, cross, ridge, len(cross)
-        k, room = self.k, min(ROOM, len(cross))
+        k = self.k
         if self.gram.shape[0] != k or self.gram.shape[1] != k or len(self.ridge) != k:
             raise ValueError("a homotopy wants gram (k, k), cross (k,) and ridge (k,)")
-        self.rows, self.inverse = np.zeros((room, k)), np.zeros((room, room))
+        self.rows, self.inverse = np.empty((k, k)), np.empty((k, k))  # what none touches is free
         self.index, self.standing = np.zeros(k, np.intp), np.zeros(k, np.intp)
         self.pivots, self.work = np.zeros(k, np.intc), np.zeros(2 * k)
         cdef double[:, ::1] vectors = np.zeros((12, k))
@@ -100,67 +98,52 @@ cdef class Homotopy:
         """Stand at the weights (k,) of the optimum at alpha; where they are zero, at the largest."""
         for j in range(self.k):
             self.known[j] = weights[j]
-        if return_to_known(self, alpha) == NO_MEMORY:
-            raise MemoryError
+        return_to_known(self, alpha)
         if not self.n:
             self.alpha = float(np.abs(self.cross).max())
 
     def advance(self, const double[::1] alphas, double[:, ::1] weights, unsigned char[::1] complete):
         """Fill weights (p, k) and complete (p,), given as zeros, at descending penalties.
 
-        Raises ValueError if the arrays do not fit each other, MemoryError.
+        Raises ValueError if the arrays do not fit each other.
         """
         points = len(alphas)
         if weights.shape[0] != points or weights.shape[1] != self.k or len(complete) != points:
             raise ValueError("a homotopy fills weights (p, k) and complete (p,) at alphas (p,)")
-        cdef int outcome = FINE
-        with nogil:
-            for point in range(points):
-                if self.n == 0 and alphas[point] >= self.alpha:
-                    complete[point] = True
-                    continue
-                outcome = reach(self, alphas[point], weights[point])
-                if outcome == NO_MEMORY:
-                    break
-                complete[point] = outcome == FINE
-                if outcome == FINE:
+        for point in range(points):
+            complete[point] = True
+            if self.n or alphas[point] < self.alpha:
+                complete[point] = reach(self, alphas[point], weights[point]) == FINE
+                if complete[point]:
                     memcpy(&self.known[0], &weights[point, 0], self.k * sizeof(double))
-        if outcome == NO_MEMORY:
-            raise MemoryError
 
 
-cdef void products(Homotopy h, Py_ssize_t n, const double[::1] x, double[::1] out) noexcept nogil:
-    """G x (k,) of the first n signed active weights x."""
-    cdef int k = h.k, count = n, one = 1
-    cdef double unit = 1.0, zero = 0.0
-    dgemv(
-        "N", &k, &count, &unit, &h.rows[0, 0], &k, <double *>&x[0], &one, &zero, &out[0], &one
-    )
-
-
-cdef void apply(Homotopy h, const double[::1] x, double[::1] out) noexcept nogil:
-    """M x (n,)."""
-    cdef int n = h.n, stride = h.inverse.shape[1], one = 1
+cdef void combine(
+    double[:, ::1] rows, Py_ssize_t k, Py_ssize_t n, const double[::1] x, double[::1] out
+) noexcept:
+    """The sum out (k,) of n rows times x (n,): G x of signed active weights, or M x."""
+    cdef int width = k, count = n, stride = rows.shape[1], one = 1
     cdef double unit = 1.0, zero = 0.0
     if n:
         dgemv(
-            "N", &n, &n, &unit, &h.inverse[0, 0], &stride, <double *>&x[0], &one, &zero, &out[0], &one
+            "N", &width, &count, &unit, &rows[0, 0], &stride, <double *>&x[0], &one, &zero,
+            &out[0], &one,
         )
 
 
-cdef void add(Py_ssize_t n, double a, double[::1] x, double[::1] y) noexcept nogil:
+cdef void add(Py_ssize_t n, double a, double[::1] x, double[::1] y) noexcept:
     """y (n,) += a x."""
     cdef int count = n, one = 1
     daxpy(&count, &a, &x[0], &one, &y[0], &one)
 
 
-cdef void update(Homotopy h, double a) noexcept nogil:
+cdef void update(Homotopy h, double a) noexcept:
     """M += a x x' of the step x (n,)."""
     cdef int n = h.n, stride = h.inverse.shape[1], one = 1
     dger(&n, &n, &a, &h.step[0], &one, &h.step[0], &one, &h.inverse[0, 0], &stride)
 
 
-cdef double largest(Py_ssize_t n, const double[::1] x) noexcept nogil:
+cdef double largest(Py_ssize_t n, const double[::1] x) noexcept:
     """The largest |x| (n,); NaN where there is one."""
     cdef double most = 0.0
     for i in range(n):
@@ -169,21 +152,7 @@ cdef double largest(Py_ssize_t n, const double[::1] x) noexcept nogil:
     return most
 
 
-cdef bint grown(Homotopy h) noexcept with gil:
-    """Make room for one more active column; false where memory is out."""
-    n, room = h.n, min(2 * len(h.inverse), h.k)
-    if n < len(h.inverse):
-        return True
-    try:
-        rows, inverse = np.zeros((room, h.k)), np.zeros((room, room))
-    except MemoryError:
-        return False
-    rows[:n], inverse[:n, :n] = np.asarray(h.rows)[:n], np.asarray(h.inverse)[:n, :n]
-    h.rows, h.inverse = rows, inverse
-    return True
-
-
-cdef void place(Homotopy h, Py_ssize_t position, Py_ssize_t column, double sign) noexcept nogil:
+cdef void place(Homotopy h, Py_ssize_t position, Py_ssize_t column, double sign) noexcept:
     """Write the row of an active column."""
     h.index[position] = column
     h.sign[position] = sign
@@ -191,7 +160,7 @@ cdef void place(Homotopy h, Py_ssize_t position, Py_ssize_t column, double sign)
         h.rows[position, j] = sign * h.gram[column, j]
 
 
-cdef int inverted(Homotopy h, double alpha) noexcept nogil:
+cdef int inverted(Homotopy h, double alpha) noexcept:
     """M afresh, with mu at this alpha; active columns that depend on others wait, at zero.
 
     Correlations are exact then.
@@ -226,44 +195,42 @@ cdef int inverted(Homotopy h, double alpha) noexcept nogil:
     return WORN if failed else FINE
 
 
-cdef int return_to_known(Homotopy h, double alpha) noexcept nogil:
+cdef int return_to_known(Homotopy h, double alpha) noexcept:
     """Stand at the known weights, for alpha."""
     h.n = 0
     h.alpha = alpha
     for j in range(h.k):
         h.standing[j] = OPEN
         if h.known[j] != 0.0:
-            if h.n == h.inverse.shape[0] and not grown(h):
-                return NO_MEMORY
             place(h, h.n, j, 1.0 if h.known[j] > 0.0 else -1.0)
             h.weights[h.n] = fabs(h.known[j])
             h.n += 1
     return inverted(h, alpha)
 
 
-cdef void correlate(Homotopy h) noexcept nogil:
+cdef void correlate(Homotopy h) noexcept:
     """Exact correlations c - G w (k,)."""
     if h.n:
-        products(h, h.n, h.weights, h.correlation)
+        combine(h.rows, h.k, h.n, h.weights, h.correlation)
         for j in range(h.k):
             h.correlation[j] = h.cross[j] - h.correlation[j]
     else:
         memcpy(&h.correlation[0], &h.cross[0], h.k * sizeof(double))
 
 
-cdef void excess(Homotopy h, double alpha) noexcept nogil:
+cdef void excess(Homotopy h, double alpha) noexcept:
     """By how much the active correlations, less mu w, exceed alpha, into `error` (n,)."""
     for i in range(h.n):
         h.error[i] = h.sign[i] * h.correlation[h.index[i]] - h.mu[i] * h.weights[i] - alpha
 
 
-cdef int refined(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale) noexcept nogil:
+cdef int refined(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale) noexcept:
     """Refine the step x (count,) and its product by what is wrong with H x on the active rows.
 
     That should be zero, but one at `position`, if >= 0. WORN: M is too old.
     """
     cdef double worst
-    products(h, count, h.step, h.product)
+    combine(h.rows, h.k, count, h.step, h.product)
     for i in range(h.n):
         h.error[i] = h.sign[i] * h.product[h.index[i]] + h.mu[i] * h.step[i]
     if position >= 0:
@@ -272,13 +239,13 @@ cdef int refined(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale
     if not worst < STALE_ABOVE and (h.age >= STALE_AGE or (h.age > 0 and not worst < WRONG_ABOVE)):
         return WORN
     if worst > REFINE_ABOVE:
-        apply(h, h.error, h.fix)
+        combine(h.inverse, h.n, h.n, h.error, h.fix)
         add(h.n, -1.0, h.fix, h.step)
-        products(h, count, h.step, h.product)
+        combine(h.rows, h.k, count, h.step, h.product)
     return FINE
 
 
-cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double fall) noexcept nogil:
+cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double fall) noexcept:
     """Let a column in with weight zero and bend the slope; a dependent one has to wait.
 
     The step x is one unit of the column, the others reacting so that their correlations stay.
@@ -286,13 +253,11 @@ cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double 
     cdef Py_ssize_t n = h.n
     cdef int count = n + 1, one = 1
     cdef double pivot, amount
-    if n == h.inverse.shape[0] and not grown(h):
-        return NO_MEMORY
     place(h, n, column, sign)
     h.mu[n] = alpha * h.ridge[column]
     for i in range(n):
         h.error[i] = -sign * h.rows[i, column]
-    apply(h, h.error, h.step)
+    combine(h.inverse, h.n, h.n, h.error, h.step)
     h.step[n] = 1.0
     if refined(h, n + 1, -1, 1.0) == WORN:
         return WORN
@@ -315,7 +280,7 @@ cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double 
     return FINE
 
 
-cdef int leave(Homotopy h, Py_ssize_t position) noexcept nogil:
+cdef int leave(Homotopy h, Py_ssize_t position) noexcept:
     """Take a column out at weight zero and bend the slope; those that waited may try again.
 
     The step x changes one active correlation by one and no other: it is a column of M.
@@ -350,7 +315,7 @@ cdef int leave(Homotopy h, Py_ssize_t position) noexcept nogil:
     return FINE
 
 
-cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept nogil:
+cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept:
     """Walk from exact correlations to alpha `goal`; WORN: as far as M went."""
     cdef double alpha = h.alpha, fall = h.alpha - goal, remains = 1.0
     cdef double soonest, rate, near, sign, length
@@ -366,14 +331,14 @@ cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept nogil:
         h.drift[h.index[i]] = -h.sign[i] * h.error[i]
         h.fix[i] = fall + h.error[i]
     if h.n:
-        apply(h, h.fix, h.slope)
-        products(h, h.n, h.slope, h.descent)
+        combine(h.inverse, h.n, h.n, h.fix, h.slope)
+        combine(h.rows, h.k, h.n, h.slope, h.descent)
         for i in range(h.n):
             h.error[i] = h.fix[i] - h.sign[i] * h.descent[h.index[i]] - h.mu[i] * h.slope[i]
         if largest(h.n, h.error) > REFINE_ABOVE * largest(h.n, h.fix):
-            apply(h, h.error, h.step)
+            combine(h.inverse, h.n, h.n, h.error, h.step)
             add(h.n, 1.0, h.step, h.slope)
-            products(h, h.n, h.slope, h.descent)
+            combine(h.rows, h.k, h.n, h.slope, h.descent)
     else:
         for j in range(h.k):
             h.descent[j] = 0.0
@@ -407,12 +372,12 @@ cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept nogil:
             return FINE
         h.steps += 1
         outcome = leave(h, at) if exits else enter(h, at, sign, goal, fall)
-        if outcome == WORN or outcome == NO_MEMORY:
-            return outcome
+        if outcome == WORN:
+            return WORN
     return WORN
 
 
-cdef double breach(Homotopy h, double alpha) noexcept nogil:
+cdef double breach(Homotopy h, double alpha) noexcept:
     """By how much the weights miss the optimum, in units of the margin: at most 1 is one.
 
     Correlations become exact, weights below zero are cut.
@@ -433,7 +398,7 @@ cdef double breach(Homotopy h, double alpha) noexcept nogil:
     return worst
 
 
-cdef int reach(Homotopy h, double goal, double[::1] out) noexcept nogil:
+cdef int reach(Homotopy h, double goal, double[::1] out) noexcept:
     """Walk to `goal`, where it is worn with another M, at last from the known weights.
 
     out (k,) becomes the weights of the optimum, or of the attempt that came closest: FINE tells
@@ -446,8 +411,6 @@ cdef int reach(Homotopy h, double goal, double[::1] out) noexcept nogil:
         outcome = inverted(h, goal)
     while attempt < ATTEMPTS and starts < FRESH_STARTS:
         outcome = walk(h, goal, limit)
-        if outcome == NO_MEMORY:
-            return NO_MEMORY
         if outcome == WORN:
             starts += 1
             if h.age == 0 or starts > FRESH_STARTS // 2:

@@ -30,13 +30,10 @@ from scipy.linalg.cython_lapack cimport dposv, dpotrf, dpotrs
 cdef enum:
     ITERATIONS = 80
     HALVINGS = 30
-    CHORDS = 8  # corrections on an old factor before a new one pays off
     FRESH = 8  # violators that join at once, at least: most of more do not stay
     TURNS = 10  # of the bounded subproblem per variable, and as many more: beyond, it is cycling
 
 cdef:
-    double SHRINKING = 0.4  # of the gap by a correction that pays
-    double POOR = 1e-3  # a relative gap above which corrections do not converge
     double NEGLIGIBLE = 1e-11  # eta times tr G_gg: its curvature would be lost
     double FLOOR = 1e-15  # a relative gap that double precision cannot improve
     double ROUNDING = 1e-13  # of f, by which it may rise; of a pull, that a free bound must exceed
@@ -171,108 +168,83 @@ cdef class Groups:
 cdef class Point:
     """What follows from one eta (g,), of which `evaluated` is told.
 
-    Of the s groups with eta > 0 and their c columns: group (s,), begin (s + 1,) in the columns
-    column (c,), label (c,) and root (c,) of D^1/2; inner C (n, c), weights W (n, c). factor (c, c):
-    L of A; image (s, n, c): L^-1 of what groups show in the Hessian (s, s), which `curve` makes, of
-    groups about to enter, too. Of all columns: correlation C (n, k). value: f without its last
-    term. Arrays have room for more.
+    Of the s groups with eta > 0 and their c columns: group (s,), column (c,), label (c,) and root
+    (c,) of D^1/2; weights W (n, c). factor (c, c): L of A; image (s, n, c): L^-1 of what groups
+    show in the Hessian (s, s), which `curve` makes, of groups about to enter, too. Of all columns:
+    correlation C (n, k). value: f without its last term. Arrays have room for more.
     """
 
     cdef Groups z
-    cdef Py_ssize_t s, c, shown
+    cdef Py_ssize_t s, c
     cdef double value
     cdef double[::1] eta, root
-    cdef double[:, ::1] factor, inner, weights, correlation, hessian
+    cdef double[:, ::1] factor, weights, correlation, hessian
     cdef double[:, :, ::1] image
-    cdef Py_ssize_t[::1] group, begin, column, label
+    cdef Py_ssize_t[::1] group, begin, column
 
     def __init__(self, Groups z):
-        cdef double[:, ::1] rows = np.zeros((2 + 3 * z.n, z.k))
-        cdef Py_ssize_t[:, ::1] integers = np.zeros((4, z.k + 1), np.intp)
+        cdef double[:, ::1] rows = np.zeros((2 + 2 * z.n, z.k))
+        cdef Py_ssize_t[:, ::1] integers = np.zeros((3, z.k + 1), np.intp)
         self.z, self.eta, self.root = z, rows[0], rows[1]
-        self.inner, self.weights = rows[2 : 2 + z.n], rows[2 + z.n : 2 + 2 * z.n]
-        self.correlation = rows[2 + 2 * z.n :]
-        self.group, self.begin = integers[0], integers[1]
-        self.column, self.label = integers[2], integers[3]
+        self.weights, self.correlation = rows[2 : 2 + z.n], rows[2 + z.n :]
+        self.group, self.begin, self.column = integers[0], integers[1], integers[2]
         self.factor, self.hessian = np.empty((z.k, z.k)), np.empty((z.g, z.g))
         self.image = np.empty((z.g, z.n, z.k))
 
 
 cdef bint evaluated(Point x) noexcept:
-    """What follows from x.eta; false where a factor fails."""
+    """What follows from x.eta, which is zero where its curvature would be lost; false: no factor."""
     cdef Groups z = x.z
-    cdef int order, stride = z.k, failed = 0
+    cdef int k = z.k, order, count = z.n, stride = z.k, failed = 0, one = 1
     cdef Py_ssize_t c = 0, s = 0
+    cdef double minus = -1.0, unit = 1.0
     for i in range(z.g):
-        if x.eta[i] > 0.0:
-            x.group[s], x.begin[s] = i, c
-            for j in range(z.starts[i], z.starts[i + 1]):
-                x.column[c], x.label[c], x.root[c] = j, s, sqrt(x.eta[i])
-                c += 1
-            s += 1
+        if not x.eta[i] * z.power[i] > NEGLIGIBLE:
+            x.eta[i] = 0.0
+            continue
+        x.group[s], x.begin[s] = i, c
+        for j in range(z.starts[i], z.starts[i + 1]):
+            x.column[c], x.root[c] = j, sqrt(x.eta[i])
+            c += 1
+        s += 1
     x.begin[s] = c
-    x.s, x.c, x.shown, x.value = s, c, 0, 0.0
+    x.s, x.c, x.value = s, c, 0.0
     order = c
     for i in range(c):
         for j in range(i + 1):
             x.factor[i, j] = z.gram[x.column[i], x.column[j]] * (x.root[i] * x.root[j])
         x.factor[i, i] += 1.0
+        for t in range(z.n):
+            x.weights[t, i] = x.root[i] * z.cross[t, x.column[i]]
     if c:
         dpotrf("U", &order, &x.factor[0, 0], &stride, &failed)
-    if failed:
-        return False
+    if c and not failed:
+        dpotrs(
+            "U", &order, &count, &x.factor[0, 0], &stride, &x.weights[0, 0], &stride, &failed
+        )
     for t in range(z.n):
+        memcpy(&x.correlation[t, 0], &z.cross[t, 0], z.k * sizeof(double))
         for i in range(c):
-            x.inner[t, i] = x.root[i] * z.cross[t, x.column[i]]
-    solve(x, x.inner)
-    for t in range(z.n):
-        for i in range(c):
-            x.weights[t, i] = x.root[i] * x.inner[t, i]
-            x.inner[t, i] /= x.root[i]
+            x.weights[t, i] *= x.root[i]
             x.value -= 0.5 * z.cross[t, x.column[i]] * x.weights[t, i]
-    correlate(x, x.weights, x.correlation)
-    return True
-
-
-cdef void solve(Point x, double[:, ::1] right) noexcept:
-    """A^-1 times the rows (n, c), in their place."""
-    cdef int order = x.c, count = x.z.n, stride = x.z.k, failed = 0
-    if order:
-        dpotrs("U", &order, &count, &x.factor[0, 0], &stride, &right[0, 0], &stride, &failed)
-
-
-cdef void correlate(Point x, const double[:, ::1] weights, double[:, ::1] out) noexcept:
-    """B - G W (n, k) of weights (n, c)."""
-    cdef Groups z = x.z
-    cdef int k = z.k, count, one = 1
-    cdef double minus = -1.0, unit = 1.0
-    cdef Py_ssize_t first, end  # of a run of adjacent rows of G
-    for t in range(z.n):
-        memcpy(&out[t, 0], &z.cross[t, 0], z.k * sizeof(double))
-        first = 0
-        while first < x.c:
-            end = first + 1
-            while end < x.c and x.column[end] == x.column[end - 1] + 1:
-                end += 1
-            count = end - first
+        for a in range(s):
+            order = x.begin[a + 1] - x.begin[a]
             dgemv(
-                "N", &k, &count, &minus, <double *>&z.gram[x.column[first], 0], &k,
-                <double *>&weights[t, first], &one, &unit, &out[t, 0], &one,
+                "N", &k, &order, &minus, <double *>&z.gram[x.column[x.begin[a]], 0], &k,
+                &x.weights[t, x.begin[a]], &one, &unit, &x.correlation[t, 0], &one,
             )
-            first = end
+    return not failed
 
 
 cdef void curve(Point x, Py_ssize_t total) noexcept:
     """The Hessian of the first `total` of x.group: K = G - V'V, V = L^-1 D^1/2 G."""
     cdef Groups z = x.z
-    cdef Py_ssize_t first = x.shown, h
-    cdef int order = x.c, room = z.k, count = (total - first) * z.n
-    cdef int apart = z.n * room, new = total - first, all = total, stride = z.g
+    cdef Py_ssize_t h
+    cdef int order = x.c, room = z.k, count = total * z.n
+    cdef int apart = z.n * room, all = total, stride = z.g
     cdef double unit = 1.0, minus = -1.0
     cdef double *row = &z.scratch[0]
-    if new <= 0:
-        return
-    for a in range(first, total):
+    for a in range(total):
         for b in range(a + 1):
             x.hessian[a, b] = 0.0
         for t in range(z.n):
@@ -288,171 +260,86 @@ cdef void curve(Point x, Py_ssize_t total) noexcept:
     if x.c:
         dtrsm(
             "L", "U", "T", "N", &order, &count, &unit, &x.factor[0, 0], &room,
-            &x.image[first, 0, 0], &room,
+            &x.image[0, 0, 0], &room,
         )
     for t in range(z.n if x.c else 0):
         dgemm(
-            "T", "N", &all, &new, &order, &minus, &x.image[0, t, 0], &apart, &x.image[first, t, 0],
-            &apart, &unit, &x.hessian[first, 0], &stride,
+            "T", "N", &all, &all, &order, &minus, &x.image[0, t, 0], &apart, &x.image[0, t, 0],
+            &apart, &unit, &x.hessian[0, 0], &stride,
         )
-    for a in range(first, total):
+    for a in range(total):
         for b in range(a):
             x.hessian[b, a] = x.hessian[a, b]
-    x.shown = total
 
 
 cdef class Search:
     """Newton's method on eta at one penalty after another, each started from the one before.
 
-    goal: the relative gap to reach; eta (g,): where the path stands. weights (n, c) on the columns
-    of the point, their correlation (n, k), gap and eta `next` (g,): of the last good correction.
+    goal: the relative gap to reach; eta (g,): where the path stands. next (g,): where it goes.
     """
 
     cdef Groups z
     cdef Point point, other
     cdef Bounded bounded
-    cdef double alpha, goal, gap
-    cdef double[::1] square, width, next
-    cdef double[:, ::1] inner, push, trial, trial_correlation, weights, correlation
+    cdef double alpha, goal
+    cdef double[::1] square, next
 
     def __init__(self, Groups groups, eta, double goal):
-        n, k = groups.n, groups.k
-        cdef double[:, ::1] rows = np.zeros((3 + 6 * n, k))
         self.z, self.goal, self.bounded = groups, max(goal, FLOOR), Bounded(groups.g)
         self.point, self.other = Point(groups), Point(groups)
-        self.square, self.width, self.next = rows[0], rows[1], rows[2]
-        self.inner, self.push, self.trial = rows[3 : 3 + n], rows[3 + n :][:n], rows[3 + 2 * n :][:n]
-        self.trial_correlation, self.weights = rows[3 + 3 * n :][:n], rows[3 + 4 * n :][:n]
-        self.correlation = rows[3 + 5 * n :]
+        self.square, self.next = np.zeros(groups.g), np.zeros(groups.g)
         for g in range(groups.g):
             self.point.eta[g] = eta[g]
-        significant(groups, self.point.eta)
         if not evaluated(self.point):
             raise ValueError("the variances of a group path are not finite")
 
     def minimised(self, double alpha):
         """Weights (n, k), their relative gap, and the factorisations that were spent."""
-        values, least, spent, g = np.zeros((self.z.n, self.z.k)), INFINITY, 0, self.z.g
+        values, least, spent = np.zeros((self.z.n, self.z.k)), INFINITY, 0
         self.alpha = alpha
         while True:
-            correct(self)
-            if self.gap < least:
-                least, c = self.gap, self.point.c
+            gap, x = relative_gap(self), self.point
+            if gap < least:
+                least = gap
                 values[:] = 0.0
-                values[:, np.asarray(self.point.column)[:c]] = np.asarray(self.weights)[:, :c]
+                values[:, np.asarray(x.column)[: x.c]] = np.asarray(x.weights)[:, : x.c]
             if least <= self.goal or spent >= ITERATIONS:
                 return values, least, spent
-            squares(g, self.z.starts, self.correlation, self.square)
-            excess = np.asarray(self.square)[:g] - alpha**2
-            excess[np.asarray(self.point.eta)[:g] > 0.0] = 0.0
-            worst = np.argsort(-excess, kind="stable")[: max(FRESH, self.point.s)]
+            excess = np.asarray(self.square) - alpha**2
+            excess[np.asarray(x.eta)[: self.z.g] > 0.0] = 0.0
+            worst = np.argsort(-excess, kind="stable")[: max(FRESH, x.s)]
             fresh = worst[excess[worst] > 0.0]
-            if len(fresh):
-                self.point.shown = min(self.point.shown, self.point.s)
-                np.asarray(self.point.group)[self.point.s : self.point.s + len(fresh)] = fresh
-                enlarge(self, len(fresh), True)
-            if not accepted(self, len(fresh)):
+            np.asarray(x.group)[x.s : x.s + len(fresh)] = fresh
+            if not accepted(self, x.s + len(fresh)):
                 return values, least, spent
             spent += 1
 
 
-cdef void significant(Groups z, double[::1] eta) noexcept:
-    """Eta is zero where its curvature would be lost."""
-    for g in range(z.g):
-        if not eta[g] * z.power[g] > NEGLIGIBLE:
-            eta[g] = 0.0
-
-
-cdef void remember(Search s, double[:, ::1] weights, double[:, ::1] correlation) noexcept:
-    """The last good correction."""
-    for t in range(s.z.n):
-        memcpy(&s.weights[t, 0], &weights[t, 0], s.point.c * sizeof(double))
-        memcpy(&s.correlation[t, 0], &correlation[t, 0], s.z.k * sizeof(double))
-
-
-cdef void correct(Search s) noexcept:
-    """Newton's step on the support, without a factor, to weights and the next eta.
-
-    A change d of eta moves C by -K (d C); steps on the same factor follow while they pay, which
-    correct the defect B - G D C - C of C, too.
-    """
-    cdef Point x = s.point
-    cdef Bounded b = s.bounded
-    cdef double gap
-    s.gap = relative_gap(s, x.weights, x.correlation)
-    remember(s, x.weights, x.correlation)
-    memcpy(&s.next[0], &x.eta[0], s.z.g * sizeof(double))
-    if not x.s or s.gap <= s.goal:
-        return
-    curve(x, x.s)
-    s.gap = INFINITY
-    for t in range(s.z.n):
-        memcpy(&s.inner[t, 0], &x.inner[t, 0], x.c * sizeof(double))
-    for a in range(x.s):
-        s.width[a] = x.eta[x.group[a]]
-    for _ in range(1 + CHORDS):
-        squares(x.s, x.begin, s.inner, s.square)
-        for a in range(x.s):
-            b.drive[a] = s.square[a] * (sqrt(s.square[a]) / s.alpha - 1.0)
-            b.lower[a] = -s.width[a]
-        minimise(b, x.s, x.hessian)
-        for t in range(s.z.n):
-            for i in range(x.c):
-                s.push[t, i] = b.step[x.label[i]] * s.inner[t, i] / x.root[i]
-                s.inner[t, i] -= s.push[t, i] / x.root[i]
-        solve(x, s.push)
-        for a in range(x.s):
-            s.width[a] = max(s.width[a] + b.step[a], 0.0)
-        for t in range(s.z.n):
-            for i in range(x.c):
-                s.inner[t, i] += s.push[t, i] / x.root[i]
-                s.trial[t, i] = s.width[x.label[i]] * s.inner[t, i]
-        correlate(x, s.trial, s.trial_correlation)
-        gap = relative_gap(s, s.trial, s.trial_correlation)
-        if not gap < SHRINKING * s.gap:
-            break
-        s.gap = gap
-        remember(s, s.trial, s.trial_correlation)
-        for a in range(x.s):
-            s.next[x.group[a]] = s.width[a]
-        significant(s.z, s.next)
-        if gap <= s.goal or gap > POOR:
-            break
-        for t in range(s.z.n):
-            for i in range(x.c):
-                s.push[t, i] = x.root[i] * (s.correlation[t, x.column[i]] - s.inner[t, i])
-        solve(x, s.push)
-        for t in range(s.z.n):
-            for i in range(x.c):
-                s.inner[t, i] += s.push[t, i] / x.root[i]
-
-
-cdef void enlarge(Search s, Py_ssize_t fresh, bint secular) noexcept:
-    """`next` after the bounded step on the support and so many further groups together.
+cdef void enlarge(Search s, Py_ssize_t total, bint secular) noexcept:
+    """`next` after the bounded step on the first `total` of x.group: those in use, and further ones.
 
     The step is that of 1/|C| = 1/alpha, where `secular`, or of the gradient of f.
     """
     cdef Point x = s.point
     cdef Bounded b = s.bounded
     cdef double square
-    curve(x, x.s + fresh)
-    squares(s.z.g, s.z.starts, x.correlation, s.square)
-    for a in range(x.s + fresh):
+    for a in range(total):
         square = s.square[x.group[a]]
         b.lower[a] = -x.eta[x.group[a]]
         b.drive[a] = 0.5 * (square - s.alpha * s.alpha)
         if secular:
             b.drive[a] = square * (sqrt(square) / s.alpha - 1.0)
-    minimise(b, x.s + fresh, x.hessian)
+    minimise(b, total, x.hessian)
     memcpy(&s.next[0], &x.eta[0], s.z.g * sizeof(double))
-    for a in range(x.s + fresh):
+    for a in range(total):
         s.next[x.group[a]] = max(x.eta[x.group[a]] + b.step[a], 0.0)
-    significant(s.z, s.next)
 
 
-cdef bint accepted(Search s, Py_ssize_t fresh) noexcept:
+cdef bint accepted(Search s, Py_ssize_t total) noexcept:
     """Go to `next` if f does not rise there, else to a halved plain Newton step; false: neither."""
     cdef double here = objective(s, s.point), share = 1.0
+    curve(s.point, total)
+    enlarge(s, total, True)
     for trial in range(HALVINGS):
         for g in range(s.z.g):
             s.other.eta[g] = (1.0 - share) * s.point.eta[g] + share * s.next[g]
@@ -462,7 +349,7 @@ cdef bint accepted(Search s, Py_ssize_t fresh) noexcept:
         if trial:
             share *= 0.5
         else:  # only the plain step is sure to descend
-            enlarge(s, fresh, False)
+            enlarge(s, total, False)
     return False
 
 
@@ -474,24 +361,22 @@ cdef double objective(Search s, Point x) noexcept:
     return x.value + 0.5 * s.alpha * s.alpha * total
 
 
-cdef double relative_gap(
-    Search s, const double[:, ::1] weights, const double[:, ::1] correlation
-) noexcept:
+cdef double relative_gap(Search s) noexcept:
     """Relative duality gap of W with dual point u R: (1-u)^2 R'R + 2 (alpha |W| - u <C, W>)."""
     cdef Point x = s.point
     cdef double product = 0.0, explained = 0.0, norm = 0.0, top = 0.0, shrink
-    squares(s.z.g, s.z.starts, correlation, s.square)
+    squares(s.z.g, s.z.starts, x.correlation, s.square)
     for g in range(s.z.g):
         if not s.square[g] <= top:
             top = s.square[g]
     shrink = 1.0 if sqrt(top) <= s.alpha else s.alpha / sqrt(top)
     for t in range(s.z.n):
         for i in range(x.c):
-            product += correlation[t, x.column[i]] * weights[t, i]
-            explained += s.z.cross[t, x.column[i]] * weights[t, i]
-    squares(x.s, x.begin, weights, s.square)
+            product += x.correlation[t, x.column[i]] * x.weights[t, i]
+            explained += s.z.cross[t, x.column[i]] * x.weights[t, i]
+    squares(x.s, x.begin, x.weights, s.next)
     for a in range(x.s):
-        norm += sqrt(s.square[a])
+        norm += sqrt(s.next[a])
     product = (
         max(1.0 - explained - product, 0.0) * (1.0 - shrink) * (1.0 - shrink)
         + 2.0 * (s.alpha * norm - shrink * product)
