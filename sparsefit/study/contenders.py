@@ -29,23 +29,7 @@ from sparsefit.codec import Place, integer, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
-from sparsefit.study.crossing import (
-    Setup,
-    of_others,
-    points_of,
-    read_grid,
-    read_setup,
-)
-from sparsefit.study.data_sets import (
-    GENERATORS,
-    Data,
-    altered,
-    digest_of,
-    drawn,
-    read_data,
-    read_public,
-    shapes_of,
-)
+from sparsefit.study import crossing, data_sets, schema
 from sparsefit.study.draw import SIMULATION, stream
 from sparsefit.study.holdout import FOLDS, IN_USE
 from sparsefit.study.keys import (
@@ -58,15 +42,6 @@ from sparsefit.study.keys import (
     SolverKeys,
 )
 from sparsefit.study.problem_desk import FIRST_SECONDS, Contender, small_problem
-from sparsefit.study.schema import (
-    distinct,
-    entries,
-    names_of,
-    read,
-    record_of,
-    section_of,
-    taken,
-)
 from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
@@ -77,7 +52,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, 
     "flights": ("library",),
     "file": ("test",),
     "dataset": (),
-    "generator": ("count", *names_of(Generator)),
+    "generator": ("count", *schema.names_of(Generator)),
 }
 
 
@@ -91,14 +66,14 @@ class ProblemSource:
 
     name: str
     series: str
-    make: Callable[[], Data]
+    make: Callable[[], data_sets.Data]
     identity: str
     alter: str
     seed: int
     test: Path | None = None
     dataset: str = ""
 
-    def build(self) -> Data:
+    def build(self) -> data_sets.Data:
         """The arrays of the problem, checked as a regression problem.
 
         Raises:
@@ -107,11 +82,13 @@ class ProblemSource:
         try:
             data = self.make().real()
             if self.test is not None:
-                rows = read_data(self.test).real()
+                rows = data_sets.read_data(self.test).real()
                 data = replace(data, test=(rows.theta, rows.target))
             if self.alter != "as it is":
                 random = np.random.default_rng(stream(self.seed, 0, 300))
-                data = Data(*altered(self.alter, data.theta, data.target, random), data.groups)
+                data = data_sets.Data(
+                    *data_sets.altered(self.alter, data.theta, data.target, random), data.groups
+                )
             RegressionProblem.from_arrays(data.theta, data.target, data.groups)
         except InputError as error:
             raise InputError(f"problem {self.name!r}: {error}") from None
@@ -145,7 +122,7 @@ class ProblemDesign:
         content = []
         for number, tolerance in self.cells:
             c = self.contenders[number]
-            code = " ".join(map(digest_of, c.files))
+            code = " ".join(map(data_sets.digest_of, c.files))
             own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
             if c.recipe is not None and c.recipe.start != SolverKeys.start:
                 own.append(c.recipe.start)
@@ -157,13 +134,13 @@ def read_problem_design(
     document: Section, seed: int, place: Place, *, holds_out: bool
 ) -> tuple[ProblemDesign, object]:
     """The design of a study of problems, and the content that all its cases depend on."""
-    rules, _ = taken(ProblemRules, document, place)
-    distinct(rules.tolerances, place.at("tolerances"))
-    path, fractions = read(PathRule, document, "path", place), tuple[float, ...]()
+    rules, _ = schema.taken(ProblemRules, document, place)
+    schema.distinct(rules.tolerances, place.at("tolerances"))
+    path, fractions = schema.read(PathRule, document, "path", place), tuple[float, ...]()
     if "path" in document:
         fractions = tuple(np.geomspace(1.0, path.lowest, path.points).tolist())
         fractions = (path.lowest,) if path.points == 1 else fractions
-    clock = read(Clock, document, "clock", place)
+    clock = schema.read(Clock, document, "clock", place)
     problems = _read_problems(document, seed, place)
     design = ProblemDesign(
         problems,
@@ -183,9 +160,9 @@ def read_problem_design(
 def _read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSource, ...]:
     """The [[problems]], of each entry one or several."""
     here, sources = place.within("problems"), list[ProblemSource]()
-    for number, entry in enumerate(entries(document, "problems", place)):
+    for number, entry in enumerate(schema.entries(document, "problems", place)):
         sources += _read_problem(entry, document, seed, number, here)
-    distinct([source.name for source in sources], here.at("name"))
+    schema.distinct([source.name for source in sources], here.at("name"))
     return tuple(sources)
 
 
@@ -201,34 +178,38 @@ def _read_problem(
         raise place.error(f"each needs exactly one of {', '.join(KINDS)}; {which} has {have}")
     (kind,) = kinds
     only(entry, (kind, "name", "alter", *KINDS[kind]), place)
-    keys, rest = taken(ProblemKeys, entry, place)
+    keys, rest = schema.taken(ProblemKeys, entry, place)
     name, test, beside = keys.name or str(entry[kind]), None, None
-    made: list[tuple[Callable[[], Data], Any]]  # what makes the arrays, and what determines them
+    made: list[
+        tuple[Callable[[], data_sets.Data], Any]
+    ]  # what makes the arrays, and what determines them
     if kind == "file":
         folder = Path(place.file).parent
         path = folder / keys.file
-        name, shape = keys.name or path.stem, shapes_of(path)["theta"]
-        made = [(partial(read_data, path), digest_of(path))]
+        name, shape = keys.name or path.stem, data_sets.shapes_of(path)["theta"]
+        made = [(partial(data_sets.read_data, path), data_sets.digest_of(path))]
         if keys.test:
             test = folder / keys.test
-            if shapes_of(test)["theta"][1:] != shape[1:]:
+            if data_sets.shapes_of(test)["theta"][1:] != shape[1:]:
                 raise place.at("test").error(f'"{keys.test}": its rows have other columns')
-            beside = digest_of(test)
+            beside = data_sets.digest_of(test)
     elif kind == "dataset":
-        made = [(partial(read_public, str(keys.dataset)), keys.dataset)]
+        made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":
-        rules = record_of(Generator, {**GENERATORS[str(keys.generator)], **rest}, place)
-        made = [(partial(drawn, rules, stream(seed, number, 301)),
+        rules = schema.record_of(
+            Generator, {**data_sets.GENERATORS[str(keys.generator)], **rest}, place
+        )
+        made = [(partial(data_sets.drawn, rules, stream(seed, number, 301)),
                  [keys.generator, asdict(rules), number])
                 for number in range(keys.count)]  # fmt: skip
     else:
         if not keys.name:
             raise place.at("name").error("missing: a flight has no other name")
         whole = Place(place.file, via=f'problem "{keys.name}": ')
-        sections = {part: {**section_of(document, part, whole), **getattr(keys, part, {})}
+        sections = {part: {**schema.section_of(document, part, whole), **getattr(keys, part, {})}
                     for part in ("flights", "derivative", "library")}  # fmt: skip
         count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
-        setup, content = read_setup(sections, whole), {**sections, "readout": {}}
+        setup, content = crossing.read_setup(sections, whole), {**sections, "readout": {}}
         made = [(partial(_flown, setup, number, count, seed), [content, number, count, seed])
                 for number in range(count)]  # fmt: skip
     for number, (make, identity) in enumerate(made, 1):
@@ -241,12 +222,14 @@ def _read_problem(
             yield ProblemSource(own, series, make, whole_identity, alter, seed, test, data)
 
 
-def _flown(setup: Setup, flight: int, count: int, seed: int) -> Data:
+def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_sets.Data:
     """The arrays of the problem of a flight, as a study of flights would pose it."""
     fleet = setup.flights.draw(flight, count, seed).fleet(stream(seed, flight, SIMULATION))
     blind = [replace(flown, flow=None) for flown in fleet]
     problem = Estimator(setup.derivative, setup.library).prepare(blind).problem
-    return Data(problem.theta, problem.target, problem.groups, samples=problem.sample_count)
+    return data_sets.Data(
+        problem.theta, problem.target, problem.groups, samples=problem.sample_count
+    )
 
 
 def _read_contenders(
@@ -255,13 +238,13 @@ def _read_contenders(
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
     here, recipes = place.within("backends"), _read_solvers(document, place)
     listed: list[tuple[ContenderKeys, Mapping[str, Any], str, Recipe | None]] = []
-    for entry in entries(document, "backends", place):
+    for entry in schema.entries(document, "backends", place):
         if "path" in document and "alpha_fraction" in entry:
             raise here.at("alpha_fraction").error("is a single fit's: [path] sets the penalties")
-        keys, given = taken(ContenderKeys, entry, here)
+        keys, given = schema.taken(ContenderKeys, entry, here)
         listed += [
             (keys, settings, solver, recipe)
-            for settings in points_of(read_grid(given, here))
+            for settings in crossing.points_of(crossing.read_grid(given, here))
             for name in keys.solver
             for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]
         ]
@@ -307,7 +290,7 @@ def _read_contenders(
 
 def _foreign(backend: str, recipe: Recipe | None) -> bool:
     """Whether the code of a contender is of none of the packages that sparsefit knows."""
-    own = backend not in backends.PUBLIC and of_others(backend)
+    own = backend not in backends.PUBLIC and crossing.of_others(backend)
     if recipe is None or recipe.command:
         return own
     return own or bool(recipe.file) or recipe.name in {*solver_names()} - shipped_solvers()
@@ -320,15 +303,15 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, 
     """
     recipes: dict[str, list[tuple[str, Recipe | None]]] = {}
     here, folder = place.within("solvers"), Path(place.file).parent
-    for entry in entries(document, "solvers", place) if "solvers" in document else ():
-        keys, settings = taken(SolverKeys, entry, here)
+    for entry in schema.entries(document, "solvers", place) if "solvers" in document else ():
+        keys, settings = schema.taken(SolverKeys, entry, here)
         file = str(folder / keys.file) if keys.file else ""
         if keys.command:
             file = str(folder / "solver")  # a command is sought beside the study
         elif file and not Path(file).is_file():
             raise here.at("file").error(f'"{keys.file}": no such file beside the study')
-        grid = read_grid(settings, here)
-        for point in points_of(grid):
+        grid = crossing.read_grid(settings, here)
+        for point in crossing.points_of(grid):
             varied = [f"{name}={shown(point[name])}" for name in grid if len(grid[name]) > 1]
             recipe = Recipe(keys.name, point, file, keys.command, start=keys.start)
             recipes.setdefault(keys.name, []).append((" ".join([keys.name, *varied]), recipe))

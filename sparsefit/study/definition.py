@@ -18,42 +18,10 @@ from typing import Any
 
 from sparsefit.codec import Place, integer, only
 from sparsefit.errors import InputError, one_of
+from sparsefit.study import crossing, keys, schema
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
-from sparsefit.study.crossing import (
-    SECTION_KEYS,
-    Cell,
-    Protocols,
-    cross,
-    read_backends,
-    read_protocols,
-    read_setup,
-    read_sweep,
-)
 from sparsefit.study.draw import Logs
-from sparsefit.study.keys import (
-    CRITERIA,
-    FLIGHT_SECTIONS,
-    OWN,
-    PROBLEM_SECTIONS,
-    READING,
-    Heading,
-    Outputs,
-    ProblemRules,
-    RunRule,
-    SelectionRule,
-    Split,
-)
 from sparsefit.study.quantities import QUANTITIES
-from sparsefit.study.schema import (
-    described,
-    names_of,
-    read,
-    record_of,
-    required,
-    section_of,
-    sentences,
-    taken,
-)
 from sparsefit.study.toml_file import Section, canonical_json, read_toml
 
 MOST_CASES = 2_000_000
@@ -70,9 +38,9 @@ class FlightDesign:
 
     count: int
     given: Mapping[str, object]
-    protocols: Protocols
+    protocols: crossing.Protocols
     sweep: Mapping[str, tuple[object, ...]]
-    cells: tuple[Cell, ...]
+    cells: tuple[crossing.Cell, ...]
     validate_count: int | None = None
 
     def split(self, flight: int) -> str:
@@ -101,9 +69,9 @@ class Definition:
     question: str
     seed: int
     hash: str
-    rules: RunRule
-    outputs: Outputs
-    selection: SelectionRule
+    rules: keys.RunRule
+    outputs: keys.Outputs
+    selection: keys.SelectionRule
     design: FlightDesign | ProblemDesign
     on_board: bool = False
 
@@ -128,15 +96,19 @@ def read_definition(path: str | Path) -> Definition:
 def definition_of(document: Section, path: str) -> Definition:
     """The study of these tables; files that it names lie beside ``path``."""
     place = Place(path)
-    heading, _ = taken(Heading, document, place)
+    heading, _ = schema.taken(keys.Heading, document, place)
     flown = heading.kind == "flights"
-    sections = FLIGHT_SECTIONS if flown else (*names_of(ProblemRules), *PROBLEM_SECTIONS)
-    only(document, (*names_of(Heading), *sections), place)
-    run = read(RunRule, document, "run", place)
-    outputs = read(Outputs, document, "outputs", place)
-    default = {"criterion": CRITERIA["flights" if flown else "problems"]}
-    rules = {**default, **section_of(document, "select", place)}
-    selection = record_of(SelectionRule, rules, place.within("select"))
+    sections = (
+        keys.FLIGHT_SECTIONS
+        if flown
+        else (*schema.names_of(keys.ProblemRules), *keys.PROBLEM_SECTIONS)
+    )
+    only(document, (*schema.names_of(keys.Heading), *sections), place)
+    run = schema.read(keys.RunRule, document, "run", place)
+    outputs = schema.read(keys.Outputs, document, "outputs", place)
+    default = {"criterion": keys.CRITERIA["flights" if flown else "problems"]}
+    rules = {**default, **schema.section_of(document, "select", place)}
+    selection = schema.record_of(keys.SelectionRule, rules, place.within("select"))
     if outputs.script and not (Path(path).parent / outputs.script).is_file():
         words = f'"{outputs.script}": no such file beside {Path(path).name}'
         raise place.within("outputs").at("script").error(words)
@@ -173,20 +145,20 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
     """
     shown_only = ("kind", "question", "select", "outputs")
     content: dict[str, object] = {k: v for k, v in document.items() if k not in shown_only}
-    sections = {name: dict(section_of(document, name, place)) for name in READING}
-    required(document, "flights", place)
+    sections = {name: dict(schema.section_of(document, name, place)) for name in keys.READING}
+    schema.required(document, "flights", place)
     flights, within = sections["flights"], place.within("flights")
     count, parts = 0, dict[str, Any]()
     if "files" not in flights:
-        count = integer(required(flights, "count", within), within.at("count"), least=1)
+        count = integer(schema.required(flights, "count", within), within.at("count"), least=1)
         del flights["count"]
-    drawn = read_setup(sections, place, parts).flights
+    drawn = crossing.read_setup(sections, place, parts).flights
     if isinstance(drawn, Logs):
         count = len(drawn.pieces)
         content["logs"] = list(dict.fromkeys(piece.digest for piece in drawn.pieces))
-    sweep = read_sweep(section_of(document, "sweep", place), place.within("sweep"))
-    fitted = read_backends(document, place)
-    protocols = read_protocols(document, sweep, place)
+    sweep = crossing.read_sweep(schema.section_of(document, "sweep", place), place.within("sweep"))
+    fitted = crossing.read_backends(document, place)
+    protocols = crossing.read_protocols(document, sweep, place)
     listed = [{"name": name, **overrides} for name, overrides in protocols.items()]
     flat = {"sweep": sweep, "protocols": listed}  # keys bare or in quotes are one content
     content |= {name: flat[name] for name in flat if name in document}
@@ -196,13 +168,13 @@ def _read_flights(document: Section, place: Place) -> tuple[FlightDesign, object
         raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}: {shorten}")
     validate = None
     if "split" in document:
-        split = read(Split, document, "split", place)
+        split = schema.read(keys.Split, document, "split", place)
         validate, total = split.validate, split.validate + split.evaluate
         if total != count:
             words = f"counts sum to {total}, not to the {count} of flights.count"
             raise place.within("split").error(words)
     given = {f"{name}.{key}": value for name in sections for key, value in sections[name].items()}
-    cells = tuple(cross(sections, protocols, sweep, fitted, place, parts))
+    cells = tuple(crossing.cross(sections, protocols, sweep, fitted, place, parts))
     return FlightDesign(count, given, protocols, sweep, cells, validate), content
 
 
@@ -213,12 +185,16 @@ def keys_of(section: str) -> dict[str, str]:
     Raises:
         InputError: with the nearest name, if there is no such section.
     """
-    one_of("section", section, OWN)
-    words = {name: text for kind in OWN[section] for name, text in sentences(kind).items()}
-    every = tuple(dict.fromkeys((*FLIGHT_SECTIONS, *PROBLEM_SECTIONS)))
-    more = {**SECTION_KEYS, "study": every, "solvers": PROBLEM_SECTIONS}
+    one_of("section", section, keys.OWN)
+    words = {
+        name: text for kind in keys.OWN[section] for name, text in schema.sentences(kind).items()
+    }
+    every = tuple(dict.fromkeys((*keys.FLIGHT_SECTIONS, *keys.PROBLEM_SECTIONS)))
+    more = {**crossing.SECTION_KEYS, "study": every, "solvers": keys.PROBLEM_SECTIONS}
     words = {name: words.get(name, "") for name in (*words, *more.get(section, ()))}
     if section == "flights":
-        rows = {name: described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()}
+        rows = {
+            name: schema.described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()
+        }
         words |= {"count": "", **rows}
     return words

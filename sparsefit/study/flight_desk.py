@@ -112,22 +112,6 @@ class Reading:
         flow, others = self.estimate.flow, self.flown.others
         return prediction_error(flow, others) if flow is not None and others else None
 
-    @cached_property
-    def intervals(self) -> Mapping[str, tuple[float, float]]:
-        """The 95 % intervals by parameter, in their units, where there are any."""
-        known = self.estimate.uncertainty
-        ends = {name: getattr(known, f"{name}_interval") for name in PARAMETERS if known}
-        return {name: outward(*map(float, pair)) for name, pair in ends.items()}
-
-
-def outward(low: float, high: float) -> tuple[float, float]:
-    """The interval, 1/32768 of its width longer at most: shorter numbers to store."""
-    width = high - low
-    if not (math.isfinite(width) and width > 0):
-        return low, high
-    step = math.ldexp(1.0, math.frexp(width)[1] - 17)
-    return math.floor(low / step) * step, math.ceil(high / step) * step
-
 
 def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     """The Cramér-Rao bounds of U0 [m/s], L [m] and tau_w [s] of flights together under Eq. 7.
