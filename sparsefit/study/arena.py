@@ -243,8 +243,8 @@ class Arena:
             return
         yield from self._ask(case, "ready", {}, READY_SECONDS)
         try:
-            words, both = "its first call", small_problem().targets
-            limit = max(case.contender.first, case.contender.killed(both))
+            words = "its first call"
+            limit = case.contender.killed(small_problem().targets, first=True)
             first = yield from self._ask(case, "first", {}, limit, timed=True, words=words)
             self.first.setdefault(case.number, first.wall)
         except Over as over:

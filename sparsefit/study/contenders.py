@@ -41,7 +41,7 @@ from sparsefit.study.keys import (
     ProblemRules,
     SolverKeys,
 )
-from sparsefit.study.problem_desk import FIRST_SECONDS, Contender, small_problem
+from sparsefit.study.problem_desk import Contender, small_problem
 from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
@@ -144,7 +144,7 @@ def read_problem_design(
     problems = _read_problems(document, seed, place)
     design = ProblemDesign(
         problems,
-        _read_contenders(document, rules.tolerances, clock, place),
+        _read_contenders(document, rules.tolerances, clock.limit, place),
         fractions,
         clock,
         holds_out,
@@ -233,10 +233,10 @@ def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_se
 
 
 def _read_contenders(
-    document: Section, tolerances: Sequence[float], clock: Clock, place: Place
+    document: Section, tolerances: Sequence[float], limit: float, place: Place
 ) -> tuple[Contender, ...]:
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
-    here, recipes = place.within("backends"), _read_solvers(document, place)
+    here, recipes = place.within("backends"), _read_solvers(document, limit, place)
     listed: list[tuple[ContenderKeys, Mapping[str, Any], str, Recipe | None]] = []
     for entry in schema.entries(document, "backends", place):
         if "path" in document and "alpha_fraction" in entry:
@@ -264,27 +264,23 @@ def _read_contenders(
         stops = tuple(sorted(keys.tolerances or tolerances, reverse=True))
         stops = stops if words.pop("stops") else (math.nan,)
         exact = words.pop("exact")
-        if own := words.pop("solver"):
-            solver, recipe = own, None
+        if its_own := words.pop("solver"):
+            solver, recipe = its_own, None
         if keys.certified:
             if not exact:
                 why = "is for an exact path of sparsefit: no other certifies its answers"
                 raise here.at("certified").error(why)
             solver += ", certified"
         points = [f"{name}={shown(value)}" for name, value in settings.items()]
-        label, limit = keys.label or " ".join([keys.name, *points]), clock.limit
+        label = keys.label or " ".join([keys.name, *points])
         if any((c.objective, c.solver) == (label, solver) for c in contenders):
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
-        recipe = recipe and replace(recipe, limit=limit)
-        contenders.append(
-            Contender(
-                objective=label, backend=keys.name, settings=settings, solver=solver,
-                tolerances=stops, certified=keys.certified, limit=limit,
-                first=limit if other or (recipe and recipe.command) else max(limit, FIRST_SECONDS),
-                recipe=recipe, **words,
-            )
+        own = Contender(
+            objective=label, backend=keys.name, settings=settings, solver=solver, tolerances=stops,
+            certified=keys.certified, limit=limit, foreign=other, recipe=recipe, **words,
         )  # fmt: skip
+        contenders.append(own)
     return tuple(contenders)
 
 
@@ -296,7 +292,9 @@ def _foreign(backend: str, recipe: Recipe | None) -> bool:
     return own or bool(recipe.file) or recipe.name in {*solver_names()} - shipped_solvers()
 
 
-def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, Recipe | None]]]:
+def _read_solvers(
+    document: Section, limit: float, place: Place
+) -> dict[str, list[tuple[str, Recipe | None]]]:
     """The [[solvers]] by name: the words and a recipe for every point of the grid of its settings.
 
     The words are its name and the settings that vary.
@@ -313,7 +311,7 @@ def _read_solvers(document: Section, place: Place) -> dict[str, list[tuple[str, 
         grid = crossing.read_grid(settings, here)
         for point in crossing.points_of(grid):
             varied = [f"{name}={shown(point[name])}" for name in grid if len(grid[name]) > 1]
-            recipe = Recipe(keys.name, point, file, keys.command, start=keys.start)
+            recipe = Recipe(keys.name, point, file, keys.command, limit, keys.start)
             recipes.setdefault(keys.name, []).append((" ".join([keys.name, *varied]), recipe))
     return recipes
 

@@ -45,7 +45,7 @@ from sparsefit.study.data_sets import Data
 from sparsefit.study.toml_file import canonical_json
 from sparsefit.study.worker import resident
 
-FIRST_SECONDS = 120.0  # of a first call that may compile, where its code ships
+FIRST_SECONDS = 120.0  # of a first call that may compile
 SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
 
 
@@ -56,7 +56,7 @@ class Contender:
     tolerances: where it is asked to stop, loosest first, NaN where it has none to set; missing: why
     it cannot run here, empty where it can; family: what shares a process with it; certified:
     whether checks of the data and certificates are in its time; limit: seconds [s] of a solve;
-    first: of a first call; recipe: the solver, None for the back-end's own.
+    foreign: whether it is code that nobody ships; recipe: the solver, None for the back-end's own.
     """
 
     objective: str
@@ -68,14 +68,17 @@ class Contender:
     family: str
     certified: bool
     limit: float
-    first: float
+    foreign: bool
     recipe: Recipe | None
 
-    def killed(self, targets: int) -> float:
-        """Seconds [s] after which a solve is killed: a command keeps its limits itself."""
-        if self.recipe is None or not self.recipe.command:
-            return self.limit
-        return self.limit + targets * self.recipe.start + FIRST_SECONDS
+    def killed(self, targets: int, *, first: bool = False) -> float:
+        """Seconds [s] after which a solve is killed: a command keeps its limits itself.
+
+        The first call of what ships may compile.
+        """
+        if self.recipe is not None and self.recipe.command:
+            return self.limit + targets * self.recipe.start + FIRST_SECONDS
+        return max(self.limit, FIRST_SECONDS) if first and not self.foreign else self.limit
 
     @property
     def files(self) -> list[Path]:

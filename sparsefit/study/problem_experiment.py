@@ -47,7 +47,6 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
-        """The problems."""
         sources = self.design.problems
         return {
             "flight": list(range(len(sources))),
@@ -60,16 +59,24 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
-        """Every contender at each of its tolerances."""
         pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
         identities = self.design.cell_identities()
         solvers = {(contender.objective, contender.solver) for contender, _ in pairs}
-        several = len({objective for objective, _ in solvers})
-        apart = several == len(solvers)  # each objective has one solver
+        objectives = {objective for objective, _ in solvers}
+
+        def title(contender: Contender, stop: float) -> str:
+            words = [contender.objective, contender.solver]
+            if len(objectives) == len(solvers):  # each objective has one solver
+                words.pop()
+            elif len(objectives) == 1:
+                words.pop(0)
+            at = f" at {stop:g}" if len(contender.tolerances) > 1 else ""
+            return ", ".join(words) + at
+
         return {
             "condition": [""] * len(pairs),
             "candidate": [digest(name)[:12] for name in identities],
-            "title": [_title(contender, stop, several > 1, apart) for contender, stop in pairs],
+            "title": [title(contender, stop) for contender, stop in pairs],
             "objective": [contender.objective for contender, _ in pairs],
             "label": [contender.objective for contender, _ in pairs],
             "backend": [contender.backend for contender, _ in pairs],
@@ -149,12 +156,3 @@ class ProblemExperiment(Experiment):
     @cached_property
     def _arena(self) -> Arena:
         return Arena(self.design)
-
-
-def _title(contender: Contender, stop: float, several: bool, apart: bool) -> str:
-    words = [contender.objective if apart else contender.solver]
-    if several and not apart:
-        words = [f"{contender.objective}, {contender.solver}"]
-    if len(contender.tolerances) > 1:
-        words.append(f"at {stop:g}")
-    return " ".join(words)

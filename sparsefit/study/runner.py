@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from sparsefit.errors import InputError, SparsefitError, is_integer
-from sparsefit.study.columns import FAILED
 from sparsefit.study.manifest import write_manifest
 from sparsefit.study.plan import Plan
 from sparsefit.study.pool import outcomes
@@ -113,7 +112,7 @@ def run(
         store = Store.read(folder, plan)
         wanted = ~store.done
         if retry_failed:
-            wanted |= store.ended(*FAILED)
+            wanted |= store.failed
         if stale:
             wanted |= store.stale
         if only:

@@ -23,7 +23,7 @@ import numpy as np
 
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError
-from sparsefit.study.columns import STATUSES, Outcome, body_of
+from sparsefit.study.columns import FAILED, STATUSES, Outcome, body_of
 from sparsefit.study.export import CASES, Row, exported_rows, is_regular, write_rows
 from sparsefit.study.manifest import MANIFEST, read_record
 from sparsefit.study.plan import Plan
@@ -116,9 +116,10 @@ class Store:
         """Which cases of the plan have a row (u, c)."""
         return self._which([bool(status) for status in self.status])
 
-    def ended(self, *statuses: str) -> BoolArray:
-        """Which cases have a row of one of these statuses (u, c)."""
-        return self._which([status in statuses for status in self.status])
+    @property
+    def failed(self) -> BoolArray:
+        """Which cases have a row without an answer (u, c)."""
+        return self._which([status in FAILED for status in self.status])
 
     @property
     def stale(self) -> BoolArray:
