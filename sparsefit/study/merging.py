@@ -1,19 +1,21 @@
 """Rows of one study that were computed in several places, brought together in one folder.
 
 Each place ran the same study file, with `--only` say, and has a part of its rows, finished or not.
-No file is believed without the checksum that its manifest tells, and no row without a status. Of
-two rows of one case the folder's own counts, or that of the first part; `study compare` holds them
-against each other. Solvers, which are timed by turns in one run, have no parts.
+No file is believed without the checksum that its manifest tells, and no row without a status. Two
+rows of one case must agree in status, and in U0, L_w and tau_w to 6 digits. Solvers, which are
+timed by turns in one run, have no parts.
 """
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from sparsefit.errors import InputError, told_with
-from sparsefit.study.columns import STATUSES
+from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.export import CASES, Row
 from sparsefit.study.manifest import check_whole
 from sparsefit.study.plan import Plan
@@ -35,8 +37,8 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
     Once all are there the study is finished, as if it had been run here.
 
     Raises:
-        InputError: if a part is no results folder, is damaged or of another study (nothing is taken
-            then), or the folder is in use.
+        InputError: if a part is no results folder, is damaged or of another study, if two rows of
+            one case differ (nothing is taken then), or the folder is in use.
     """
     if plan.experiment.alone:
         words = "its solvers are timed by turns, in one run: there is nothing to merge"
@@ -45,15 +47,22 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
     if folder.resolve() in {part.resolve() for part in stored}:
         raise InputError(f"{folder}: merges into itself: give the other parts, or other --results")
     merged = []
-    with locked(folder), Store.opened(folder, plan) as own:
-        known = {row.key for row in own.rows() if row.status in STATUSES}
-        for part, rows in stored.items():
-            new = [row for row in rows if row.key not in known]
-            for row in new:
-                own.put_row(row)
-            known |= {row.key for row in new}
-            merged.append(MergedPart(part, len(rows), len(new)))
-    if len(known) == plan.size:  # only its order is left
+    with locked(folder):
+        rows = {row.key: (folder, row) for row in _whole(plan, folder)}
+        for part, theirs in stored.items():
+            for row in theirs:
+                first, other = rows.setdefault(row.key, (part, row))
+                if not _alike(row, other):
+                    case = plan.case_ids[plan.place_of[row.key]]
+                    words = f"differs between {first} and {part}: leave one of them out"
+                    raise InputError(f"case {case} {words}")
+            taken = sum(first == part for first, _ in rows.values())
+            merged.append(MergedPart(part, len(theirs), taken))
+        with Store.opened(folder, plan) as own:
+            for first, row in rows.values():
+                if first != folder:
+                    own.put_row(row)
+    if len(rows) == plan.size:  # only its order is left
         run(plan, folder, processes=1)
     return merged
 
@@ -65,5 +74,17 @@ def _rows_of(plan: Plan, part: Path) -> list[Row]:
     elif not (part / STORE).is_file():
         name = plan.experiment.definition.name
         raise InputError(f"{part}: holds no rows of {name}: give a results folder of the study")
-    with told_with(part):
-        return [row for row in Store.read(part, plan).rows() if row.status in STATUSES]
+    return _whole(plan, part)
+
+
+def _whole(plan: Plan, folder: Path) -> list[Row]:
+    with told_with(folder):
+        return [row for row in Store.read(folder, plan).rows() if row.status in STATUSES]
+
+
+def _alike(first: Row, second: Row) -> bool:
+    """Whether two rows of one case agree; rounding may differ on another machine."""
+    mine, other = json.loads(first.body), json.loads(second.body)
+    names = [f"est_{name}" for name in PARAMETERS]
+    near = (math.isclose(mine.get(n, 0.0), other.get(n, 0.0), rel_tol=1e-6) for n in names)
+    return first.status == second.status and all(near)

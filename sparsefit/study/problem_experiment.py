@@ -47,6 +47,7 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
+        """The problems."""
         sources = self.design.problems
         return {
             "flight": list(range(len(sources))),
@@ -59,6 +60,7 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
+        """Every contender at each of its tolerances."""
         pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
         identities = self.design.cell_identities()
         solvers = {(contender.objective, contender.solver) for contender, _ in pairs}

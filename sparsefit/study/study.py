@@ -83,6 +83,9 @@ class Study(Definition):
         home = Path(beside) / RESULTS if results is None else Path(results)
         return cls(**vars(own), folder=home / own.name)
 
+    def __repr__(self) -> str:
+        return f"Study {self.name} of {self.kind}: {self.planned.size} cases, in {self.folder}"
+
     @cached_property
     def definition(self) -> Definition:
         """The study file alone, as its workers get it."""

@@ -165,6 +165,7 @@ def test_a_solver_is_named_where_there_are_several(own, tmp_path):
     both = '[[backends]]\nname = "lasso"\n[[backends]]\nname = "ridge"\n'
     study = load(tmp_path, PROBLEMS + CORRELATED + both)
     assert study.plan()["title"].tolist() == ["lasso", "ridge"]
+    assert repr(study) == f"Study p of problems: 2 cases, in {study.folder}"
     assert own.plan()["title"][0] == "homotopy"
 
 

@@ -290,6 +290,11 @@ def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tm
     (bare.folder / "manifest.json").unlink()
     with pytest.raises(InputError, match="no checksum of it stands"):
         target.merge([bare.folder])
+    with Store.opened(parts[0].folder, parts[0].planned) as store:
+        row = next(store.rows())
+        store.put_row(type(row)(row.key, "misfit", "", row.version, row.body))
+    with pytest.raises(InputError, match=r"differs between .* leave one"):
+        target.merge([parts[0].folder])
 
 
 def test_the_version_is_that_of_every_file_that_can_change_a_number():
