@@ -32,7 +32,6 @@ from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
 from sparsefit.likelihood.diagnosis import (
     Diagnosis,
     diagnose,
-    disturbed,
     fitted,
     process_of,
     with_process,
@@ -48,7 +47,6 @@ from sparsefit.model.shapes import flows_of, read_cells
 
 WORSE = 3.0  # times the least RSS of the rows: a proposal that leaves more is not measured
 MOST = 5  # lobes that are measured
-GUSTY = 2  # lobes that are measured in turbulence too
 CLOSE = 10.0  # of BIC: a rival that near could be the flow too
 NEAR = 0.5  # in pi/extent: how far an optimum's waves may be from those that were proposed
 STRAY = 0.25  # of |k|: waves that move by more beside a cause are others
@@ -58,32 +56,6 @@ FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
 EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
 HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
 MOSTLY = 0.5  # of the variance of the air that waves explain, whatever a vehicle hides of them
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """A proposal at the maximum of its likelihood, without turbulence and perhaps with it."""
-
-    proposal: Proposal
-    calm: Posterior
-    gusty: Posterior | None = None
-
-    @property
-    def likelier(self) -> Posterior:
-        """The posterior of the lower BIC."""
-        return min((own for own in (self.calm, self.gusty) if own), key=lambda own: own.bic)
-
-    @cached_property
-    def loose(self) -> bool:
-        """Whether waves make no cells; cells among them are measured with others as turbulence."""
-        kx, ky, a, b, _ = self.calm.model.pattern.waves.T
-        parts = flows_of(np.column_stack([kx, ky]), np.column_stack([a, b]))
-        return len(kx) % 2 == 1 or (len(kx) == 4 and len(parts) == 1)
-
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """The order of starts: cells first, each by BIC."""
-        return self.loose, self.likelier.bic
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,27 +97,24 @@ class Measured:
             parts = [[j, j + 1] for j in range(0, len(self.waves), 2)]
         pattern, names = self.posterior.model.pattern, self.posterior.names
 
-        def values(place: int, step: float) -> list[Array]:
-            moved = np.array(pattern.values)
-            moved[place] += step
-            waves = replace(pattern, values=tuple(moved.tolist())).waves[:, [0, 1, 4, 2, 3]]
+        def values(at: Array) -> list[Array]:
+            waves = replace(pattern, values=tuple(at.tolist())).waves[:, [0, 1, 4, 2, 3]]
             return [read_waves(waves[list(flow)]) for flow in parts]
 
-        slopes = []
-        for place, size in enumerate(pattern.values):
-            step = 1e-6 * max(abs(size), 1e-2)
-            pairs = zip(values(place, step), values(place, -step), strict=True)
-            slopes.append([(up - down) / (2.0 * step) for up, down in pairs])
+        here = np.array(pattern.values)
+        steps = np.diag(1e-6 * np.maximum(np.abs(here), 1e-2))
+        moved = [(values(here + step), values(here - step), 2.0 * step.sum()) for step in steps]
         places = [names.index(name) for name in pattern.names]
         covariance = self.posterior.covariance[np.ix_(places, places)]
-        every = []
-        for value, slope in zip(values(0, 0.0), zip(*slopes, strict=True), strict=True):
+        flows = []
+        for flow, value in enumerate(values(here)):
+            slope = np.array([(up[flow] - down[flow]) / width for up, down, width in moved])
             variances = np.einsum("if,ij,jf->f", slope, covariance, slope)
             if self.posterior is self.diagnosis.posterior:
                 speed, length = self.diagnosis.ambiguity
                 variances[:3] += np.square(value[:3] * [speed, length, math.hypot(speed, length)])
-            every.append((value, np.sqrt(np.maximum(variances, 0.0))))
-        return every
+            flows.append((value, np.sqrt(np.maximum(variances, 0.0))))
+        return flows
 
     def scales(self, grid: Sequence[float]) -> tuple[ScaleEstimate, ...]:
         """The flows of cells, fastest first; grid: the candidates [m] in use."""
@@ -172,20 +141,13 @@ class Measured:
         }
         parts |= {"grid_length_scale": first.grid_length_scale} if several else {}
         parts |= {"rival_length_scale": self.rival.length_scale} if self.rival else {}
-        speed, growth = pattern.mean_velocity, self.diagnosis.growth
-        constancy = (
-            Constancy.of(float(growth.step[0]), float(growth.error[0]), speed) if growth else None
-        )
-        freer = self.diagnosis.posterior
-        if "growth" in freer.names:
-            constancy = Constancy.of(freer.value("growth"), freer.error("growth"), speed)
         parts |= {
             "scales": tuple(scales) if several or len(scales) > 1 else (),
             "shape": pattern.shape,
             "flow": SuperposedFlow((flow,), (uniform[0], uniform[1])) if any(uniform) else flow,
             "goodness": self.goodness,
             "freed": self.freed,
-            "constancy": constancy,
+            "constancy": Constancy.of(*self.diagnosis.growth, pattern.mean_velocity),
             "rungs": tuple(
                 RungEstimate(own.shape, own.velocity is not None, own.bic - least, own.residual)
                 for own in self.proposals
@@ -250,11 +212,11 @@ def measure_flow(
         within = (lengths > 0.75 * grid.lower).all() and (lengths < 1.25 * grid.upper).all()
         if own.residual <= WORSE * least and within:
             likely.append(own)
-    starts: list[Start] = []
+    starts: list[tuple[bool, Posterior, Proposal]] = []
     chosen = lobes(likely, near)[:MOST]
     chosen.sort(key=lambda own: len(own.wavevectors) % 2)  # an odd number makes no cells
     for proposal in chosen:
-        if len(proposal.wavevectors) % 2 and not all(own.loose for own in starts):
+        if len(proposal.wavevectors) % 2 and not all(loose for loose, _, _ in starts):
             break
         waves = proposal.wavevectors, proposal.cosine, proposal.sine
         pattern = StreamPattern.of_waves(proposal.shape, *waves, proposal.velocity)
@@ -270,32 +232,20 @@ def measure_flow(
             if there is not None and FREEDOMS[name].wanders:
                 there = fitted(logs, with_process(there.models, process_of(name, there)), there)
         if there is not None and alike(there, proposal, near):
-            starts.append(Start(proposal, there))
+            starts.append((_loose(there), there, proposal))
     if not starts:
         return None
-    starts.sort(key=lambda own: own.rank)
-    for place, start in enumerate(starts[:GUSTY]):
-        if start.loose > starts[0].loose:  # cells come first, the rest is turbulence
-            break
-        if disturbed(start.calm) and "turbulence" not in names:
-            gusts = process_of("turbulence", start.calm)
-            gusty = fitted(logs, with_process(start.calm.models, gusts), start.calm)
-            if gusty is not None and alike(gusty, start.proposal, near):
-                starts[place] = replace(start, gusty=gusty)
-    starts.sort(key=lambda own: own.rank)
-    best, *others = starts
-    proposal, likelier = best.proposal, best.likelier
-    diagnosis = Diagnosis(likelier, likelier)
-    goodness = Goodness.of(likelier, diagnosis)
-    white = goodness.whiteness > 1e-6 or likelier.exact or likelier.pushed
+    (_, first, proposal), *others = sorted(starts, key=lambda own: (own[0], own[1].bic))
+    diagnosis = Diagnosis(first, first)
+    goodness = Goodness.of(first, diagnosis)
+    white = goodness.whiteness > 1e-6 or first.exact or first.pushed
     clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
-    excess = math.inf if clear else _excess(prepared, logs, likelier)
+    excess = math.inf if clear else _excess(prepared, logs, first)
     if excess > -HIDDEN or goodness.r_squared > MOSTLY:
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
         diagnosis = diagnose(
-            logs, best.calm, names, shapes=shapes, ready=best.gusty,
-            inside=lambda own: alike(own, proposal, around),
-        )  # fmt: skip
+            logs, first, names, shapes=shapes, inside=lambda own: alike(own, proposal, around)
+        )
     posterior, suspects = diagnosis.believed, diagnosis.suspects
     of_flow = any(own.of_flow for own in suspects)
     refitted = diagnosis.posterior is not diagnosis.believed
@@ -303,15 +253,15 @@ def measure_flow(
     if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
     rivals = [
-        own.proposal
-        for own in others
-        if not own.loose
-        and own.rank[1] - best.rank[1] < CLOSE
-        and min(_apart(each, own.calm) for each in (best.calm, diagnosis.posterior)) > APART
+        rival
+        for loose, there, rival in others
+        if not loose
+        and there.bic - first.bic < CLOSE
+        and min(_apart(own, there) for own in (first, diagnosis.posterior)) > APART
     ]
     goodness = Goodness.of(posterior, diagnosis)
-    excess += 2 * (diagnosis.posterior.log_likelihood - likelier.log_likelihood)
-    excess -= 4 * (len(diagnosis.posterior.names) - len(likelier.names))
+    excess += 2 * (diagnosis.posterior.log_likelihood - first.log_likelihood)
+    excess -= 4 * (len(diagnosis.posterior.names) - len(first.names))
     freed = (*names, *(own.free for own in diagnosis.suspects if not suspects))
     return Measured(
         proposal, tuple(proposals), diagnosis, posterior, suspects, freed, goodness,
@@ -319,18 +269,24 @@ def measure_flow(
     )  # fmt: skip
 
 
-def _freedom(proposal: Proposal) -> tuple[int, bool]:
-    """The order of proposals by their parameters."""
-    return SHAPES.index(proposal.shape), proposal.velocity is not None
+def _loose(posterior: Posterior) -> bool:
+    """Whether waves make no cells; cells come first, and the rest is turbulence."""
+    kx, ky, a, b, _ = posterior.model.pattern.waves.T
+    parts = flows_of(np.column_stack([kx, ky]), np.column_stack([a, b]))
+    return len(kx) % 2 == 1 or (len(kx) == 4 and len(parts) == 1)
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
     """The proposal with fewest parameters of each set of waves that are near to each other."""
     chosen: list[Proposal] = []
+
+    def freedom(proposal: Proposal) -> tuple[int, bool]:
+        return SHAPES.index(proposal.shape), proposal.velocity is not None
+
     for own in proposals:
         for place, other in enumerate(chosen):
             if _near(own.wavevectors, other.wavevectors, near):
-                chosen[place] = min(other, own, key=_freedom)
+                chosen[place] = min(other, own, key=freedom)
                 break
         else:
             chosen.append(own)

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -43,6 +44,7 @@ FACTOR = 3.0  # by which a scale or a response time may be off
 LATEST = 0.2  # of half the log: the longest latency
 CHANCE = 2.0  # of log-likelihood, that a level may gain where it is none
 COLOURED = 1e-3  # the p-value of innovations that are not white
+TWO_WAVES = ("axis", "square", "rectangle", "pair")  # shapes, each freer than those before
 SCANNED = (0.03, 0.1, 0.3, 1.0)  # shares of a level at which a process is first looked for
 
 
@@ -86,7 +88,7 @@ class Diagnosis:
         posterior: with all causes freed, and the disturbances that are there.
         believed: with the disturbances and the shape alone.
         suspects: the causes, the most significant one first.
-        growth: of U0 in time, at the posterior.
+        growth: of U0 in time [1/s], at the posterior, and its standard error.
         turbulence_gain: 2 ln(likelihood ratio) of the disturbances that walk; 0 without any.
         ambiguity: by which shares other causes, nearly as likely or hinted at, say other U0 and L.
     """
@@ -94,7 +96,7 @@ class Diagnosis:
     posterior: Posterior
     believed: Posterior
     suspects: tuple[Suspect, ...] = ()
-    growth: Gain | None = None
+    growth: tuple[float, float] = (math.nan, math.nan)
     turbulence_gain: float = 0.0
     ambiguity: tuple[float, float] = (0.0, 0.0)
 
@@ -105,7 +107,6 @@ def diagnose(
     freed: Sequence[str] = (),
     *,
     shapes: bool = True,
-    ready: Posterior | None = None,
     inside: Callable[[Posterior], bool] = lambda posterior: True,
 ) -> Diagnosis:
     """Find causes, disturbances and a freer shape, one after another, from a flow's optimum.
@@ -115,7 +116,6 @@ def diagnose(
         posterior: of the flow with white process noise.
         freed: names of `FREEDOMS` that are free already.
         shapes: whether a freer shape is an answer, and not a misfit.
-        ready: the posterior with turbulence, where it is there already.
         inside: whether an optimum is still that of the flow that was proposed.
     """
     believed, suspects, closed, wandering = posterior, list[Suspect](), set(freed), 0.0
@@ -124,7 +124,7 @@ def diagnose(
 
     def score(trial: Trial) -> tuple[float, Trial, Posterior | None]:
         """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
-        there = ready if trial.free == "turbulence" and ready else fitted(logs, trial.models, start)
+        there = fitted(logs, trial.models, start)
         if there is None or not usable(there) or not (inside(there) and plausible(there, first)):
             return -math.inf, trial, None
         return there.log_likelihood - 2.0 * trial.freedom, trial, there
@@ -148,11 +148,10 @@ def diagnose(
         for name, cause in FREEDOMS.items() if disturbed(start) else ():
             if cause.wanders and name not in closed:
                 process = process_of(name, start)
-                if (ready and name == "turbulence") or _scanned(start, process) > needed:
+                if _scanned(start, process) > needed:
                     scored.append(score(Trial(with_process(start.models, process), 2, cause, name)))
                     most = max(most, scored[-1][0])
                     needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
-        ready = None
         if likely and _releveled(start, likely[0][2].gain) > needed:
             trials = [
                 _freed(start.models, FREEDOMS[name], name, flight, gain)
@@ -195,9 +194,11 @@ def diagnose(
         posterior = _simplest(logs, posterior, inside)
     posterior = _settled(logs, posterior)
     believed = _settled(logs, believed) if suspects else posterior
-    if posterior is not start:
-        gains = gains_of(posterior, {"growth": ("growth",)})
-    growth = gains.get(("growth", 0))
+    growth = posterior.value("growth"), posterior.error("growth")
+    if "growth" not in posterior.names:
+        grown: dict[str, tuple[str, ...]] = {"growth": ("growth",)}
+        gains = gains if posterior is start else gains_of(posterior, grown)
+        growth = float(gains["growth", 0].step[0]), float(gains["growth", 0].error[0])
     shares = _ambiguity(posterior, believed, rivals) if suspects else (0.0, 0.0)
     walks = [own.name for own in posterior.model.disturbance.processes]
     if posterior is start and not walks:  # gains of the last round, in which nothing was found
@@ -301,16 +302,12 @@ def _significant(
 def _simplest(
     logs: Sequence[FlightLog], posterior: Posterior, inside: Callable[[Posterior], bool]
 ) -> Posterior:
-    """The posterior of least BIC among its shape and simpler ones of two waves."""
-    pattern, shapes = posterior.model.pattern, ("axis", "square", "rectangle", "pair")
-    if pattern.shape not in shapes or len(pattern.waves) != 2:
-        return posterior
-    names = shapes[: shapes.index(pattern.shape) + 1]
-    for drifting in (False, True)[: 1 + pattern.drifting]:
-        for name in names:
-            simple = pattern.reshaped(name, drifting)
-            if len(simple.values) == len(pattern.values):
-                continue
+    """The posterior of the first simpler shape of two waves that has a lower BIC, if one has."""
+    pattern, cells = posterior.model.pattern, TWO_WAVES
+    simpler = cells[: cells.index(pattern.shape) + 1] if pattern.shape in cells else ()
+    for drifting, name in product((False, True)[: 1 + pattern.drifting], simpler):
+        simple = pattern.reshaped(name, drifting)
+        if len(pattern.waves) == 2 and len(simple.values) < len(pattern.values):
             models = [replace(model, pattern=simple) for model in posterior.models]
             there = fitted(logs, models, posterior)
             if there and usable(there) and inside(there) and there.bic < posterior.bic:
@@ -483,8 +480,8 @@ def freer(models: Sequence[Model], group: str, *, answers: bool) -> list[Trial]:
         group: "drift" or "turn".
         answers: whether these are answers, and no causes of a misfit.
     """
-    pattern, shapes = models[0].pattern, ("axis", "square", "rectangle", "pair")
-    names = [pattern.shape] if group == "drift" else shapes[shapes.index(pattern.shape) + 1 :]
+    pattern, more = models[0].pattern, TWO_WAVES.index(models[0].pattern.shape) + 1
+    names = (pattern.shape,) if group == "drift" else TWO_WAVES[more:]
     trials = []
     for name in names:
         there: StreamPattern = pattern.reshaped(name, group == "drift" or pattern.drifting)
