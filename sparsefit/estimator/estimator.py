@@ -45,12 +45,7 @@ class Estimator:
         if isinstance(self.derivative, str):
             object.__setattr__(self, "derivative", Derivative(self.derivative))
         object.__setattr__(self, "backend", backends.named(self.backend))
-        for name, kind in (
-            ("derivative", Derivative),
-            ("library", Library),
-            ("backend", Backend),
-            ("readout", Readout),
-        ):
+        for name, kind in (saved.RECORDS | {"backend": Backend}).items():
             if not isinstance(getattr(self, name), kind):
                 raise InputError(
                     f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
@@ -79,18 +74,18 @@ class Estimator:
         settings (too few samples for the derivative, say); flights that cannot tell the parameters
         have status ``unidentifiable``, those through another flow than was fitted ``misfit``.
         """
-        from sparsefit.estimator.prepare import prepare, together
-
-        assert isinstance(self.derivative, Derivative)
-        prepared = prepare(together(flights), self.derivative, self.library, shared=False)
+        prepared = self.prepare(flights, shared=False)
         return self.read(prepared, self.fit(prepared))
 
-    def prepare(self, flights: Flight | Sequence[Flight]) -> Prepared:
-        """Derivatives, flow velocity and regression problem of a flight, or of several."""
+    def prepare(self, flights: Flight | Sequence[Flight], *, shared: bool = True) -> Prepared:
+        """Derivatives, flow velocity and regression problem of a flight, or of several.
+
+        shared: whether several back-ends will use it, so that common work belongs here.
+        """
         from sparsefit.estimator.prepare import prepare, together
 
         assert isinstance(self.derivative, Derivative)
-        return prepare(together(flights), self.derivative, self.library)
+        return prepare(together(flights), self.derivative, self.library, shared=shared)
 
     def fit(self, prepared: Prepared) -> Fit:
         """The certified fit of this estimator's back-end."""
@@ -149,17 +144,13 @@ class Estimator:
             speed, scale = own.mean_velocity, own.length_scale
             timescale = scale / speed if speed else math.nan
             scales.append(ScaleEstimate(speed, scale, timescale, scale, heading=own.heading))
-        first, parts = scales[0], dict[str, Any](flow=flow)
-        parts |= {
-            name: getattr(first, name) for name in ("mean_velocity", "length_scale", "heading")
-        }
-        if self.readout.scales == "several":
-            parts["scales"] = tuple(scales)
-        if not 0 < first.mean_velocity < math.inf:
-            words = f"readout {self.readout.mean_velocity!r} gave {first.mean_velocity:g}"
-            words = f"no mean velocity: {words}"
-            return parts, Verdict("unidentifiable", words, Doubt.MEAN_VELOCITY)
-        return parts, None
+        speed, parts = read[0].mean_velocity, dict[str, Any](flow=flow, heading=read[0].heading)
+        parts |= {"mean_velocity": speed, "length_scale": read[0].length_scale}
+        parts |= {"scales": tuple(scales)} if self.readout.scales == "several" else {}
+        if 0 < speed < math.inf:
+            return parts, None
+        words = f"no mean velocity: readout {self.readout.mean_velocity!r} gave {speed:g}"
+        return parts, Verdict("unidentifiable", words, Doubt.MEAN_VELOCITY)
 
     def _off_grid(
         self, prepared: Prepared, fit: Fit, used: Sequence[float]

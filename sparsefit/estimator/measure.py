@@ -163,21 +163,23 @@ class Measured:
                 sure, known["drift"] = cells, (x_error, y_error)
             parts |= cells | ({} if pattern.drifting else {"drift": (0.0, 0.0)})
             parts["shape_uncertainty"] = Uncertainty.of(sure, known)
-        if len(prepared.flights) == 1:
-            agreement = Agreement.of(posterior.model)
-            return parts | vehicle_of(posterior, prepared.vehicle) | {"agreement": agreement}
+        own = [
+            {"agreement": Agreement.of(model)} | vehicle_of(posterior, vehicle, place)
+            for place, (model, vehicle) in enumerate(
+                zip(posterior.models, prepared.vehicles, strict=True)
+            )
+        ]
+        if len(own) == 1:
+            parts |= own[0]
+            return parts
         noises = np.array([model.disturbance.velocity_noise for model in posterior.models])
         noises /= math.sqrt(float(np.mean(noises**2))) or 1.0
+        flights = zip(prepared.parts, noises.tolist(), self.goodness.flights, own, strict=True)
         parts["flights"] = tuple(
             FlightEstimate(
-                samples=len(samples.time),
-                noise=float(noises[place]),
-                goodness=self.goodness.flights[place],
-                repairs=samples.repairs,
-                agreement=Agreement.of(posterior.models[place]),
-                **vehicle_of(posterior, prepared.vehicles[place], place),
+                samples=len(rows.time), noise=noise, goodness=goodness, repairs=rows.repairs, **each
             )
-            for place, samples in enumerate(prepared.parts)
+            for rows, noise, goodness, each in flights
         )
         return parts
 

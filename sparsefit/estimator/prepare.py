@@ -53,11 +53,6 @@ class Prepared(Brief):
         """The vehicles as they are believed to be."""
         return [flight.vehicle for flight in self.flights]
 
-    @property
-    def vehicle(self) -> PointMassVehicle:
-        """The vehicle of the first flight."""
-        return self.flights[0].vehicle
-
     @cached_property
     def flow_velocity(self) -> Array:
         """Phi (m, 2) [m/s] at the samples, of the vehicles as they are believed to be."""

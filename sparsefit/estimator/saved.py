@@ -33,18 +33,11 @@ def text_of(parts: Mapping[str, Any]) -> str:
 def record_of(text: str) -> dict[str, Any]:
     """The object that `text_of` wrote. Raises InputError on any other text."""
 
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        names = [name for name, _ in pairs]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(f"not an estimator: key {shown(name)} stands twice; keep one")
-        return dict(pairs)
-
     def refused(constant: str) -> None:  # Python reads NaN and infinities, and JSON has none
         raise InputError(f"not an estimator: {constant} is no number; write it with to_json")
 
     try:
-        record = json.loads(text, object_pairs_hook=once, parse_constant=refused)
+        record = json.loads(text, parse_constant=refused)
     except InputError:
         raise
     except (RecursionError, ValueError) as error:

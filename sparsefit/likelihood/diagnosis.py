@@ -36,7 +36,7 @@ FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all g
 FITTED = 3  # groups of the largest gains that are fitted for good
 ROUNDS = 4  # departures that are freed one after another, at most
 CLEAR = 8.0  # times a first gain, to second order: what gained more already is what there is
-CALMER = 0.5  # of what wanders, and of its gain: a cause beside it explains as much at least
+CALMER = 0.5  # of the gain of what wanders: a cause beside it explains as much at least
 TUNED = 3.0  # the factor between the rates that are tried of what wanders
 LAST = 60  # passes towards an answer that has not been at its maximum
 HINT = 0.1  # of a gain by chance, below which a cause that is not found widens the intervals
@@ -165,8 +165,8 @@ def diagnose(
                 merit, _, there = score(trial)
                 if trial.suspicious and wandering and there is not None:
                     gained = 2.0 * (there.log_likelihood - start.log_likelihood)
-                    clear = there.converged and gained > CALMER * wandering
-                    merit = merit if clear and _calmer(there, start) else -math.inf
+                    if not (there.converged and gained > CALMER * wandering):
+                        merit = -math.inf
                 scored.append((merit, trial, there))
         merit, best, there = max(scored, key=lambda item: item[0], default=(-math.inf, None, None))
         if best is None or there is None or not math.isfinite(merit):
@@ -455,13 +455,6 @@ def disturbed(posterior: Posterior) -> bool:
     if posterior.exact or posterior.pushed or not (seen > 1.0).any():
         return False
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
-
-
-def _calmer(there: Posterior, here: Posterior) -> bool:
-    """Whether one posterior has less of every disturbance that wanders than another."""
-    before, after = (own.model.disturbance.processes for own in (here, there))
-    pairs = zip(before, after, strict=False)
-    return all(new.level**2 <= (1.0 - CALMER) * old.level**2 for old, new in pairs)
 
 
 def shape_groups(model: Model) -> dict[str, tuple[str, ...]]:

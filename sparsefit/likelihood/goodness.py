@@ -34,7 +34,7 @@ class Uncertainty(dict[str, Any]):
 
     @classmethod
     def of(cls, values: Mapping[str, Any], errors: Mapping[str, Any]) -> Uncertainty:
-        """From values and standard errors by name."""
+        """From values and standard errors by name, each a number or a pair."""
         record = cls()
         for name, value in values.items():
             record[name] = errors[name]
@@ -113,14 +113,12 @@ class Goodness:
         """From a posterior, and the diagnosis behind it."""
         speed = posterior.model.pattern.mean_velocity
         gusts, kicks = np.array([_disturbances(leg) for leg in posterior.legs]).T
-        every = posterior.whiteness
-        each = [
-            cls(explained(speed**2 / 4, gust + kick, 0.0), white)
-            for gust, kick, white in zip(gusts.tolist(), kicks.tolist(), every, strict=True)
-        ]
+        flow, every = speed**2 / 4, posterior.whiteness  # mean square of a component of cells
+        shares = (flow / (flow + gusts + kicks)).tolist()
+        each = [cls(share, white) for share, white in zip(shares, every, strict=True)]
         turbulence = float(np.mean(gusts))
         return cls(
-            explained(speed**2 / 4, turbulence, float(np.mean(kicks))),
+            flow / (flow + turbulence + float(np.mean(kicks))),
             1 - (1 - min(every)) ** len(every),
             diagnosis.turbulence_gain,
             math.sqrt(turbulence),
@@ -172,15 +170,3 @@ class Constancy:
             return None
         chance = math.erfc(abs(rate / spread) / math.sqrt(2.0))
         return cls(rate, spread, interval(rate, spread), chance)
-
-
-def explained(flow: float, turbulence: float, noise: float) -> float:
-    """The share of the variance of the air's velocity that a flow explains.
-
-    Args:
-        flow: mean square of a component of the flow along the track [m^2/s^2].
-        turbulence: of the turbulence [m^2/s^2].
-        noise: of process noise within the band of the flow [m^2/s^2].
-    """
-    whole = flow + turbulence + noise
-    return flow / whole if whole > 0.0 else math.nan

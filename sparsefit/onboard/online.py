@@ -267,21 +267,16 @@ class FlownEstimator(Estimator):
 
     stream: Stream = field(default=Stream(), kw_only=True)
 
-    def prepare(self, flights: Flight | Sequence[Flight]) -> Prepared:
+    def prepare(self, flights: Flight | Sequence[Flight], *, shared: bool = True) -> Prepared:
         """Return the rows of a flight for the back-end, with the board's answer beside them."""
         fleet = [flights] if isinstance(flights, Flight) else list(flights)
         if len(fleet) != 1:
             raise InputError(f"on board one flight is followed, not {len(fleet)} together")
-        rows = super().prepare(fleet)
+        rows = super().prepare(fleet, shared=shared)
         online = OnlineEstimator(self, vehicle=fleet[0].vehicle, **vars(self.stream))
         for sample in samples_of(fleet[0]):
             online.update(*sample)
         return cast("Prepared", _FlownRows(rows, online.answer))
-
-    def estimate(self, flights: Flight | Sequence[Flight]) -> Estimate:
-        """Estimate from a flight, sample by sample."""
-        prepared = self.prepare(flights)
-        return self.read(prepared, self.fit(prepared))
 
 
 @dataclass(frozen=True, eq=False)

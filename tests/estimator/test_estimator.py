@@ -257,12 +257,6 @@ def test_bad_json_is_refused_in_one_line(change, words):
     assert "\n" not in str(error.value)
 
 
-def test_a_key_that_stands_twice_is_refused():
-    text = f'{{"format": "{FORMAT}", "tolerance": 1e-3, "tolerance": 1e-6}}'
-    with pytest.raises(InputError, match="key 'tolerance' stands twice"):
-        Estimator.from_json(text)
-
-
 @pytest.mark.parametrize(
     "text", ["", "{", "[]", "[" * 100_000, "null", '"lasso"', "{'format': 1}", "\ufeff{}"]
 )

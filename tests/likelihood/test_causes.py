@@ -9,7 +9,7 @@ import sparsefit as sf
 from sparsefit.likelihood.causes import FREEDOMS
 from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
 from sparsefit.likelihood.gains import gains_of
-from sparsefit.likelihood.goodness import Constancy, explained
+from sparsefit.likelihood.goodness import Constancy
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
@@ -125,4 +125,3 @@ def test_constancy_is_the_rate_of_growth_in_its_unit():
     assert constancy.interval == pytest.approx((0.1 - 0.098, 0.1 + 0.098), abs=1e-3)
     assert constancy.p_value == pytest.approx(0.0455, abs=1e-4)  # of two standard errors
     assert Constancy.of(0.0, 0.0, 10.0) is None
-    assert explained(3.0, 1.0, 0.0) == 0.75
