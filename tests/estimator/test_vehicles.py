@@ -22,7 +22,9 @@ PLAIN = sf.Readout(refine="variable-projection")
 
 @cache
 def flown(vehicle, *, circling=False, **noise):
-    thrust = turning(15.0, 50.0, constant=(5.0, 3.0), size=6.0, period=4.0, phase=0.0)
+    thrust = turning(
+        np.arange(15 * 50 + 2) / 50, constant=(5.0, 3.0), size=6.0, period=4.0, phase=0.0
+    )
     thrust = thrust if circling else None
     return fly(FLOW, vehicle, duration=15.0, rate=50.0, seed=5, thrust=thrust, **noise)
 
@@ -81,7 +83,9 @@ def test_an_interval_holds_where_noise_of_the_thrust_is_weak_process_noise():
 def test_noise_of_the_thrust_does_not_make_gusts_of_the_thrust_itself(period):
     """Where all else is exact, gusts of a slow walk would explain a log without its thrust."""
     flow = sf.CellularFlow(4.5, 4.25)
-    thrust = turning(20.0, 50.0, constant=(5.0, 3.0), size=6.0, period=period, phase=1.0)
+    thrust = turning(
+        np.arange(20 * 50 + 2) / 50, constant=(5.0, 3.0), size=6.0, period=period, phase=1.0
+    )
     settings = {"thrust": thrust, "thrust_noise": 0.2}
     flight = fly(flow, LINEAR, duration=20.0, rate=50.0, seed=8, **settings)
     wrong = replace(flight, vehicle=sf.PointMassVehicle(0.6, thrust_scale=1.2))

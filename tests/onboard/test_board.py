@@ -101,7 +101,9 @@ WORLDS = {
             vehicle=sf.PointMassVehicle(0.5, (2.0, -1.0), 0.05, 1.1),
             seed=4,
             position_noise=0.02,
-            thrust=turning(9.0, 50.0, constant=(1.0, 0.5), size=4.0, period=4.0, phase=0.3),
+            thrust=turning(
+                np.arange(9 * 50 + 2) / 50, constant=(1.0, 0.5), size=4.0, period=4.0, phase=0.3
+            ),
         ),
         {"response_time": 0.5, "drag_coefficient": 0.05, "thrust_scale": 1.1, "memory": 4.0},
     ),

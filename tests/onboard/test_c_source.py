@@ -109,7 +109,9 @@ def test_cpp_takes_the_header(built):
 
 
 def test_a_flight_of_ones_own_with_thrust():
-    thrust = turning(6.0, 50.0, constant=(0.0, 0.0), size=1.0, period=6.0, phase=0.0)
+    thrust = turning(
+        np.arange(6 * 50 + 2) / 50, constant=(0.0, 0.0), size=1.0, period=6.0, phase=0.0
+    )
     flight = sf.simulate_flight(
         sf.CellularFlow(8.0, 4.0), sf.PointMassVehicle(0.5), duration=6.0, sample_rate=50.0, seed=1,
         thrust=thrust,

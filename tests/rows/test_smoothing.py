@@ -173,7 +173,9 @@ def test_positions_alone_are_smoothed_by_their_own_polynomial():
 
 def test_a_measured_thrust_is_that_at_the_rows():
     vehicle, flow = PointMassVehicle(0.5, thrust_scale=1.2), CellularFlow(8.0, 4.0)
-    thrust = turning(6.0, 100.0, constant=(5.0, 3.0), size=9.0, period=3.0, phase=0.0)
+    thrust = turning(
+        np.arange(6 * 100 + 2) / 100, constant=(5.0, 3.0), size=9.0, period=3.0, phase=0.0
+    )
     flight = fly(flow, vehicle, duration=6.0, seed=2, thrust=thrust)
     samples = AUTO(flight)
     error = samples.flow_velocity(vehicle) - flow.velocity(*samples.position.T)
