@@ -72,7 +72,8 @@ def test_nothing_is_named_where_nothing_is_wrong():
     diagnosis = diagnose(logs, posterior)
     assert not diagnosis.suspects
     assert diagnosis.posterior is posterior
-    assert abs(diagnosis.growth.step[0]) < 4 * diagnosis.growth.error[0]
+    rate, error = diagnosis.growth
+    assert abs(rate) < 4 * error
 
 
 def scaled(flight, position=1.0, velocity=1.0, angle=0.0, bias=0.0):
