@@ -17,9 +17,8 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from functools import partial
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
@@ -96,28 +95,18 @@ class Cell:
 Fitted: TypeAlias = tuple[BackendChoice, Mapping[str, Setting], str, str, bool]
 
 
-def _flights(section: Section, place: Place) -> FlightRules | Logs:
-    return (read_logs if "files" in section else read_flight_rules)(section, place)
-
-
-def _library(section: Section, place: Place) -> Library:
-    only(section, SECTION_KEYS["library"], place)
+def _read_part(name: str, section: Section, place: Place) -> Any:
+    """The record of a section, one of `SECTION_KEYS`."""
+    if name == "flights":
+        return (read_logs if "files" in section else read_flight_rules)(section, place)
+    if name == "readout":
+        return build(Readout, {"refine": UNNAMED, **section}, place)
+    if name != "library":
+        return build(Derivative if name == "derivative" else Stream, section, place)
+    only(section, SECTION_KEYS[name], place)
     grid, rest = taken(LengthScaleGrid, section, place)
     # Without a word about the grid, the library keeps the default that is its own.
     return build(Library, ({"grid": grid} if len(rest) < len(section) else {}) | rest, place)
-
-
-def _readout(section: Section, place: Place) -> Readout:
-    return build(Readout, {"refine": UNNAMED, **section}, place)
-
-
-READERS: dict[str, Callable[[Section, Place], Any]] = {
-    "flights": _flights,
-    "derivative": partial(build, Derivative),
-    "library": _library,
-    "readout": _readout,
-    "online": partial(build, Stream),
-}
 
 
 def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = None) -> Setup:
@@ -126,10 +115,10 @@ def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = 
     parts: what was read before, by content, so that setups share what is equal.
     """
     parts = {} if parts is None else parts
-    content = [json.dumps([name, sections.get(name, {})], default=repr) for name in READERS]
-    for (name, reader), words in zip(READERS.items(), content, strict=True):
+    content = [json.dumps([name, sections.get(name, {})], default=repr) for name in SECTION_KEYS]
+    for name, words in zip(SECTION_KEYS, content, strict=True):
         if words not in parts:
-            parts[words] = reader(sections.get(name, {}), place.within(name))
+            parts[words] = _read_part(name, sections.get(name, {}), place.within(name))
     setup = Setup(*(parts[words] for words in content))
     combined = "".join(content[1:])
     if combined not in parts:

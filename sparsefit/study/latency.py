@@ -78,8 +78,8 @@ def measured(definition: Definition, cells: Sequence[int], flights: int) -> Late
     finally:
         worker.close()
     del times[:2]
-    middle, late = np.quantile(times, [0.5, 0.99])
-    return Latency(float(middle), float(late), peak or math.nan, len(times), busy / len(times))
+    median, p99 = map(float, np.quantile(times, [0.5, 0.99]))
+    return Latency(median, p99, peak or math.nan, len(times), busy / len(times))
 
 
 def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latency]) -> None:

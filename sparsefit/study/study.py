@@ -48,7 +48,10 @@ RESULTS, STUDIES = "results", "studies"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(Definition):
-    """A study file and its results folder; made by `from_file` or `from_mapping`."""
+    """A study file and its results folder; made by `from_file` or `from_mapping`.
+
+    It has the `name`, `kind`, `question`, `path`, `seed` and `hash` of its file.
+    """
 
     folder: Path = Path()
 
