@@ -18,15 +18,14 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
-from sparsefit.study.entries import asked, grouped, script_of
+from sparsefit.study.entries import asked, facts, grouped, script_of
 from sparsefit.study.figures import Picture
-from sparsefit.study.measures import measure, numbers
+from sparsefit.study.measures import measure
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, plain, sentence, significant
+from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files, write_whole
 
 if TYPE_CHECKING:
@@ -114,11 +113,9 @@ def check_outputs(study: Any) -> None:
 
 def headline(study: Any, cases: pd.DataFrame) -> str:
     """Return the one sentence of a study: the best and the worst candidate by its measure."""
-    outputs, default = study.definition.outputs, "called-ok"
-    if np.isfinite(numbers(cases, "true_timescale")).any():
-        default = "timescale-error"
-    elif "objective" in cases:
-        default = "holdout-error" if np.isfinite(numbers(cases, "holdout_error")).any() else ""
+    outputs, says = study.definition.outputs, facts(cases)
+    defaults = {"predicted": "holdout-error", "problems": "", "flow": "timescale-error"}
+    default = next((name for fact, name in defaults.items() if fact in says), "called-ok")
     if not (outputs.headline or default):
         return " ".join(solver_times.headline(cases))
     each = measure(outputs.headline or default)
@@ -137,7 +134,7 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
         sharers = f" and {others - 1} more" if others > 1 else ""
         said.append(f"{text(scores[name])} ({name}{sharers})")
     count, several = cases["flight"].nunique(), cases["condition"].nunique()
-    where = f"over {count} {'problem' if 'objective' in cases else 'flight'}{'s' * (count > 1)}"
+    where = f"over {count} {unit_of(cases)}{'s' * (count > 1)}"
     where += f" in {several} conditions" if several > 1 else ""
     failing = f"; {each.convention}" if each.miss is not None else ""
     printed = tables.printed_value(outputs.reference, each)

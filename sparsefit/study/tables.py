@@ -19,7 +19,7 @@ from sparsefit.arrays import Array
 from sparsefit.study import entries, measures, resampling, solver_times
 from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
-from sparsefit.study.measures import MEASURES, SYMBOLS, UNITS, Measure, in_words, numbers
+from sparsefit.study.measures import MEASURES, SYMBOLS, UNITS, Measure, in_words
 from sparsefit.study.table import Column, Row, Table, Value, sentence
 
 if TYPE_CHECKING:
@@ -69,10 +69,8 @@ def _counts(cases: pd.DataFrame) -> list[Part]:
     return [Part(Column(name, format="d"), mask.astype(float)) for name, mask in counted.items()]
 
 
-def summarised(
-    entry: Entry, cases: pd.DataFrame, title: str, parts: Sequence[Part], names: Sequence[str] = (),
-    notes: Sequence[str] = (),
-) -> Table:  # fmt: skip
+def summarised(entry: Entry, cases: pd.DataFrame, parts: Sequence[Part], names: Sequence[str] = (),
+               notes: Sequence[str] = ()) -> Table:  # fmt: skip
     """Return a row per group of cases and a column per part that has a number of any case.
 
     Args:
@@ -82,11 +80,9 @@ def summarised(
     names = names or name_columns(cases, entry.rows or ROWS)
     columns = [*map(Column, names)]
     for part in parts:
+        group = f"{part.column.group} {part.column.name}".strip()
         ends = ("from", "to") if part.interval else ()
-        columns += [part.column, *(
-            replace(part.column, name=name, group=f"{part.column.group} {part.column.name}".strip())
-            for name in ends
-        )]  # fmt: skip
+        columns += [part.column, *(replace(part.column, name=end, group=group) for end in ends)]
     rows: list[Row] = []
     for key, places in entries.grouped(cases, names):
         cells: list[Value] = []
@@ -100,63 +96,57 @@ def summarised(
                 else:
                     cells += resampling.interval(resampling.pooled(each.reduce), grid)
         rows.append((*map(level_text, key), *cells))
-    return Table(entry.title or title, tuple(columns), rows, (*entry.notes, *notes))
+    title = entry.title or entry.name.replace("-", " ").capitalize() or "Measures"
+    return Table(title, tuple(columns), rows, (*entry.notes, *filter(None, notes)))
 
 
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group: planned, answered, and each measure, with its interval if asked."""
-    parts = [
-        Part(column_of(each), each.values(cases), each, entry.interval) for each in entry.measures
-    ]
-    notes = [sentence(in_words([each for each in entry.measures if each.miss is not None]))]
+    every = entry.measures
+    parts = [Part(column_of(each), each.values(cases), each, entry.interval) for each in every]
+    notes = [sentence(in_words([each for each in every if each.miss is not None]))]
     if entry.interval:
         drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole flights"
         notes.append(f"{drawn}; a share of single cases: Wilson's.")
-    title = entry.name.replace("-", " ").capitalize() or "Measures"
-    return summarised(entry, cases, title, [*_counts(cases), *parts], (), [*filter(None, notes)])
+    return summarised(entry, cases, [*_counts(cases), *parts], (), notes)
 
 
 def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return a row per group and a column per level of the factor `along`, of the first measure."""
     each, words = entry.measures[0], entries.factor_words(entry.along)
     levels, values = entries.levels_of(cases, entry.along), each.values(cases)
-    rows = list(entry.rows or ROWS[1:])
+    rows, both = entry.rows or ROWS[1:], ["protocol", *ROWS[1:]]
     if (
         not entry.rows
         and "protocol" in cases
-        and cases["title"].nunique() < len(cases[["protocol", "title"]].drop_duplicates())
+        and len(cases[both].drop_duplicates()) > (cases["title"].nunique())
     ):
-        rows = ["protocol", "title"]
+        rows = tuple(both)  # a title has several
     parts = [
         Part(replace(column_of(each), name=level, group=words),
              measures.only((levels == level).to_numpy(), values), each)
         for level in levels.cat.categories
     ]  # fmt: skip
-    title = f"{sentence(each.phrase)[:-1]} along {words}"
-    return summarised(entry, cases, title, [*_counts(cases), *parts], name_columns(cases, rows),
-                      [sentence(in_words([each]))])  # fmt: skip
+    titled = replace(entry, title=entry.title or f"{sentence(each.phrase)[:-1]} along {words}")
+    notes = [sentence(in_words([each]))]
+    names = name_columns(cases, rows)
+    return summarised(titled, cases, [*_counts(cases), *parts], names, notes)
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return how cases ended against what was true: within 5 %, off, no flow, nobody knows."""
-    limit, truth, notes = f"{measures.OFF:g} %", np.full(len(cases), "all", object), list[str]()
-    near = f"≤ {limit}"
+    near, truth = f"≤ {measures.OFF:g} %", np.full(len(cases), "all", object)
     if "est_mean_velocity" in cases:
         flown = measures.in_flow(cases)
         truth[flown] = np.where(measures.off(cases), "off", near)[flown]
         truth[measures.in_still_air(cases)] = "no flow"
         truth[~measures.ended(cases, *STATUSES[:4])] = "all"
-        notes = [
-            f"Off: U0, L_w or τ_w misses the truth by more than {limit}, or there is no number. Ok "
-            "and off is a silent miss; ok without a flow a false alarm; unidentifiable and off was "
-            "deserved."
-        ]
     parts = [_counts(cases)[0]]
     for name in STATUSES:
         for fact in (near, "off", "no flow", "all"):
             both = measures.ended(cases, name) & (truth == fact)
             parts += [Part(Column(fact, "", "d", name), both.astype(float))] if both.any() else []
-    return summarised(entry, cases, "How cases ended, and what was true", parts, (), notes)
+    return summarised(entry, cases, parts)
 
 
 def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -166,33 +156,29 @@ def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     names = [*name_columns(cases, entry.rows or ROWS), "parameter"]
     each = cases.iloc[np.repeat(np.arange(len(cases)), 3)]
     each = each.assign(parameter=np.tile(list(SYMBOLS.values()), len(cases)))
+    with_interval = np.isfinite(covered).astype(float)
     parts = [
-        *_counts(each)[:2],
-        Part(Column("with interval", format="d"), np.isfinite(covered).astype(float)),
+        *_counts(each)[:2], Part(Column("with interval", format="d"), with_interval),
         Part(Column("coverage", "%", ".1f"), covered, MEASURES["hits"], interval=True),
         Part(Column("half-width", "%"), halves, MEASURES["length-scale-half-width"]),
     ]  # fmt: skip
-    note = (
-        "Share of the flights called ok whose 95 % interval holds the truth, with its own 95 % "
-        "interval over flights. Half-width: median, in percent of the estimate."
-    )
-    made = summarised(entry, each, "Coverage of the 95 % intervals", parts, names, [note])
+    made = summarised(entry, each, parts, names)
     return replace(made, rows=[row for row in made.rows if row[len(names) + 2]])
 
 
 def single(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return status, truth, estimate and percentage error of every case."""
-    each = MEASURES["timescale-signed-error"]  # of a single case its mean is it
-    parts = [
-        Part(Column(SYMBOLS[name], UNITS[name], ".4g", group), numbers(cases, f"{prefix}_{name}"),
-             each)
-        for group, prefix in (("true", "true"), ("estimated", "est")) for name in PARAMETERS
-    ]  # fmt: skip
     errors = measures.of_parameters(cases)["signed-error"]
-    parts += [Part(Column(SYMBOLS[name], "%", "+.2f", "error"), error, each)
-              for name, error in zip(PARAMETERS, errors.T, strict=True)]  # fmt: skip
+    values = {"true": measures.parameters(cases, "true"), "error": errors,
+              "estimated": measures.parameters(cases, "est")}  # fmt: skip
+    parts = [
+        Part(Column(SYMBOLS[name], "%" if group == "error" else UNITS[name], format, group),
+             values[group][:, place], MEASURES["seconds"])
+        for group, format in (("true", ".4g"), ("estimated", ".4g"), ("error", "+.2f"))
+        for place, name in enumerate(PARAMETERS)
+    ]  # fmt: skip
     names = [*name_columns(cases, entry.rows or ("flight", *ROWS)), "status"]
-    return summarised(entry, cases, "True and estimated flow parameters", parts, names)
+    return summarised(entry, cases, parts, names)
 
 
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
