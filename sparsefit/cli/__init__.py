@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import io
-import json
 import os
 import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
 
-from sparsefit.cli.options import Option, Parser, Reply, print_help, verb
+from sparsefit.cli.options import Option, Parser, print_help, verb
+from sparsefit.cli.terminal import Reply, emit
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line, optional
 from sparsefit.whole_file import REMEDIES
 
@@ -40,8 +40,7 @@ def parser() -> Parser:
     verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb")
     for name in ("simulate", "estimate", "study", "select", "export", "backends"):
         import_module(f"sparsefit.cli.verb_{name}").add(verbs)
-    shells = {"choices": ("bash", "zsh", "tcsh")}
-    shell = Option("shell", "bash, zsh or tcsh", "SHELL", extra=shells)
+    shell = Option("shell", "to complete in", extra={"choices": ("bash", "zsh", "tcsh")})
     verb(verbs, "completion", completion, [shell])
     return top
 
@@ -58,12 +57,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         args, extra = parser().parse_known_args(argv)
         if extra:
             args.parser.unrecognized(extra)
-        answer: Reply = args.run(args)
-        if args.json:
-            print(json.dumps(answer.record, indent=2, allow_nan=False, ensure_ascii=False))
-        else:
-            print("\n".join(answer.lines))
-        sys.stdout.flush()
+        reply: Reply = args.run(args)
+        emit(reply, as_json=args.json)
     except KeyboardInterrupt:
         if argv is None:  # the process ends here: a second Ctrl-C has nothing to stop
             signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -83,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         remedy = REMEDIES.get(error.errno or 0, "check the path")
         code, message = 2, f"{place}{error.strerror or error}; {remedy}"
     else:
-        return answer.code
+        return reply.code
     print(f"sparsefit: error: {one_line(message)}", file=sys.stderr)
     return code
 

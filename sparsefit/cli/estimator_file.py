@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import SETTING, Option, collected, key_value
+from sparsefit.cli.options import PAIRS, SETTING, Option, key_value
 from sparsefit.errors import InputError, told_with
 
 if TYPE_CHECKING:
@@ -27,8 +27,7 @@ OPTIONS = {  # the dotted key of an estimator: the option that sets it
 }  # fmt: skip
 SET = Option(
     "--set", "any other key of [derivative], [library] or [readout] of a study file, as "
-    "library.family=waves; repeat it for more than one", "SECTION.KEY=VALUE", key_value,
-    {"action": "append"},
+    "library.family=waves; repeat it for more than one", "SECTION.KEY=VALUE", key_value, PAIRS,
 )  # fmt: skip
 ESTIMATOR = Option("--estimator", "estimator.json, as written by sparsefit select", "FILE")
 ALL = (ESTIMATOR, *OPTIONS.values(), SETTING, SET)
@@ -45,15 +44,14 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
     from sparsefit.estimator.saved import parts_of
     from sparsefit.model import LengthScaleGrid
 
-    given = [option for option in ALL[1:] if getattr(args, option.dest) is not None]
+    given = [option for option in ALL[1:] if getattr(args, option.dest) not in (None, [])]
     if args.estimator is not None:
         if given:
             first = given[0].flags
             raise InputError(f"{first} and --estimator cannot both be given; drop one")
         return read_estimator(args.estimator)
     values = {key: getattr(args, item.dest) for key, item in OPTIONS.items() if item in given}
-    values |= {f"backend.{key}": value for key, value in collected(args.setting).items()}
-    values |= collected(args.set)
+    values |= {f"backend.{key}": value for key, value in args.setting} | dict(args.set)
 
     class TypedPlace(Place):
         def error(self, problem: str) -> InputError:

@@ -9,53 +9,32 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
+from sparsefit.cli.terminal import Reply
 from sparsefit.codec import Place
 from sparsefit.errors import InputError, one_line, suggestion
 
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
-Value: TypeAlias = bool | int | float | str
-PLAIN = ("NUMBER", "SHARE", "N", "X Y")  # placeholders of numbers that are no unit
-
-
-class Reply(NamedTuple):
-    """The outcome of a verb: a JSON-ready record, lines that say it, and the exit code."""
-
-    record: Any
-    lines: Iterable[str] = ()
-    code: int = 0
-
-
 Run: TypeAlias = Callable[[argparse.Namespace], Reply]
+PLAIN = ("NUMBER", "SHARE", "N", "X Y")  # placeholders of numbers that are no unit
 
 
 class Parser(argparse.ArgumentParser):
     """A parser that refuses in one line with the nearest name, and reads `-1e-3` as a number."""
 
-    def __init__(
-        self, prog: str | None = None, *, description: str = "", epilog: str = "", help: str = ""
-    ) -> None:
-        super().__init__(
-            prog=prog,
-            description=description,
-            epilog=epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-        )
+    def __init__(self, **settings: Any) -> None:
+        settings |= {"formatter_class": argparse.RawDescriptionHelpFormatter, "allow_abbrev": False}
+        super().__init__(**settings)
         # Before Python 3.14 argparse takes -1e-3 for an option.
-        self._negative_number_matcher = re.compile(
-            r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.IGNORECASE
-        )
+        self._negative_number_matcher = re.compile(r"-(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.I)
 
     def _check_value(self, action: argparse.Action, value: object) -> None:
         """Refuse a verb or choice that does not exist with the nearest one."""
         if action.choices is not None and value not in action.choices:
-            name = action.metavar or action.dest.replace("_", "-")
-            kind = name.lower() if isinstance(name, str) else action.dest
-            self.error(
-                f'unknown {kind} "{value}"{suggestion(str(value), map(str, action.choices))}'
-            )
+            kind = action.metavar if isinstance(action.metavar, str) else action.dest
+            near = suggestion(str(value), map(str, action.choices))
+            self.error(f'unknown {kind.lower()} "{value}"{near}')
 
     def error(self, message: str) -> NoReturn:
         """Exit with code 2 after one line with the cause and where the remedy stands."""
@@ -65,9 +44,8 @@ class Parser(argparse.ArgumentParser):
     def unrecognized(self, words: Iterable[str]) -> NoReturn:
         """Exit with code 2 after one line with the options unknown here and the nearest one."""
         unknown = " ".join(words)
-        first = unknown.split(" ")[0].partition("=")[0]
-        near = suggestion(first, self._option_string_actions) if first.startswith("-") else ""
-        near = near if "did you mean" in near else ""
+        near = suggestion(unknown.split(" ")[0].partition("=")[0], self._option_string_actions)
+        near = near if unknown.startswith("-") and "did you mean" in near else ""
         self.error(f"unrecognized arguments: {unknown}{near}")
 
 
@@ -171,34 +149,23 @@ def print_help(args: argparse.Namespace) -> Reply:
     return Reply({"help": text}, [text])
 
 
-def key_value(text: str) -> tuple[str, Value]:
+def key_value(text: str) -> tuple[str, Any]:
     """An argparse type: `key=value`, the value a scalar of TOML, or text without quotes."""
     key, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not key:
         raise argparse.ArgumentTypeError(f'"{text}" is not key=value')
     try:
         parsed = tomllib.loads(f"value = {value}")
-    except tomllib.TOMLDecodeError:
+    except ValueError:  # no TOML, or an integer of more than 4300 digits
         return key, value
-    except ValueError:  # Python reads no decimal integer of more than 4300 digits
-        raise argparse.ArgumentTypeError("more than 4300 digits are no number") from None
     scalar = len(parsed) == 1 and isinstance(parsed["value"], bool | int | float | str)
     return key, parsed["value"] if scalar else value
 
 
-def collected(pairs: Iterable[tuple[str, Value]] | None) -> dict[str, Value]:
-    """Settings by key, empty where the option was not given. Raises InputError on repeated keys."""
-    settings: dict[str, Value] = {}
-    for key, value in pairs or ():
-        if key in settings:
-            raise InputError(f"setting {key} is given twice; keep one")
-        settings[key] = value
-    return settings
-
-
+PAIRS = {"action": "append", "default": []}
 SETTING = Option(
     "--setting", "setting of the back-end; repeat it for more than one", "KEY=VALUE", key_value,
-    {"action": "append"},
+    PAIRS,
 )  # fmt: skip
 RESULTS = Option(
     "--results", "folder of the results of all studies; default: results beside the study file",

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from sparsefit.cli.terminal import coloured, duration, proof, typed
+from sparsefit.cli import terminal
+from sparsefit.codec import finite_or_none
 from sparsefit.errors import one_line
 from sparsefit.estimator.estimate import FINEST, PARAMETERS, FlightEstimate, LogEstimate, decimals
 from sparsefit.flight.record import FRAMES
@@ -15,6 +16,7 @@ from sparsefit.flight.record import FRAMES
 if TYPE_CHECKING:
     from sparsefit.estimator.estimate import Estimate
     from sparsefit.flight import Flight
+    from sparsefit.likelihood.goodness import Uncertainty
     from sparsefit.logs.checks import LogQuality
 
 Rows: TypeAlias = Iterator[tuple[str, str]]
@@ -25,11 +27,6 @@ OF_VEHICLE = (  # label, attribute, unit
     ("thrust         a", "thrust_acceleration", "m/s^2"),
     ("wind", "wind", "m/s"),
 )
-MEANINGS = {
-    "duality_gap": "at most this far from the optimum, relative",
-    "normal_equations": "relative gradient of the least-squares fit",
-    "fixed_point": "share of the support one more step would change",
-}
 SHAPES = {
     "axis": "square cells along the axes",
     "square": "square cells",
@@ -50,8 +47,6 @@ class ReadLog:
 
     def record(self) -> dict[str, Any]:
         """The log as JSON-ready values; None for what is not known."""
-        from sparsefit.codec import finite_or_none
-
         values: dict[str, Any] = finite_or_none(vars(self.quality))
         return values | {"read_as": list(self.notes)}
 
@@ -66,19 +61,17 @@ class ReadLog:
         yield from (("" if place else "read as", note) for place, note in enumerate(self.notes))
         if own.repairs.words:
             yield "repaired", own.repairs.words
-        craft, (ax, ay) = flight.vehicle, flight.vehicle.thrust_acceleration
-        given = {}
-        if math.isfinite(craft.response_time):
-            given["response_time"] = f"response time {craft.response_time:g} s"
-        if craft.drag:
-            given["drag"] = f"quadratic drag {craft.drag:g} 1/m"
-        if flight.thrust is not None:
-            scaled = craft.thrust_scale != 1.0 and "thrust_scale" not in unknown
-            given["thrust"] = f"{craft.thrust_scale:g} times " * scaled + "the measured thrust"
-        if flight.thrust is None or ax or ay:
-            given["thrust_acceleration"] = f"thrust ({ax:g}, {ay:g}) m/s^2"
-        said = [words for name, words in given.items() if name not in unknown]
-        yield "vehicle", ", ".join(said) or "unknown"
+        craft, (x, y) = flight.vehicle, flight.vehicle.thrust_acceleration
+        given = {
+            "response_time": f"response time {craft.response_time:g} s",
+            "drag": f"quadratic drag {craft.drag:g} 1/m" if craft.drag else "",
+            "thrust_scale": f"{craft.thrust_scale:g} times the measured thrust",
+            "thrust_acceleration": f"thrust ({x:g}, {y:g}) m/s^2",
+        }
+        if flight.thrust is None:
+            given["thrust_scale"] = ""
+        told = [words for name, words in given.items() if words and name not in unknown]
+        yield "vehicle", ", ".join(told) or "unknown"
 
 
 def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -> list[str]:
@@ -87,31 +80,35 @@ def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -
     Of a vehicle only what was not ``unknown`` is told as given; of several flights what is
     estimated of each, by number.
     """
-    rows: list[tuple[str, str]] = []
+    pairs: list[tuple[str, str]] = []
     for number, (log, own) in enumerate(zip(logs, estimate.flights or [estimate], strict=True), 1):
         (label, first), *others = log.rows(own, unknown)
-        rows += [(f"flight {number}" if estimate.flights else label, first), *others]
+        pairs += [(f"flight {number}" if estimate.flights else label, first), *others]
         if isinstance(own, FlightEstimate):
             counts = f"so that a sample counts for {own.noise**-2:.2g}"
-            rows += [("noise", f"{own.noise:.3g} of the mean, {counts}"), *_vehicle(own)]
-        rows.append(("", ""))
-    return [f"{label:<20}  {value}".rstrip() for label, value in (*rows, *_answer(estimate))]
+            pairs += [("noise", f"{own.noise:.3g} of the mean, {counts}"), *_vehicle(own)]
+        pairs.append(("", ""))
+    return terminal.rows([*pairs, *_answer(estimate)], 20)
+
+
+def _quantity(label: str, record: Any, name: str, unit: str, spreads: Uncertainty | None) -> Rows:
+    """The row of a quantity of a record, with its standard error and interval."""
+    spread, ends = (spreads.get(f"{name}{end}") if spreads else None for end in ("", "_interval"))
+    yield label, measured(getattr(record, name), unit, spread, ends)
 
 
 def _vehicle(owner: LogEstimate) -> Rows:
     for label, name, unit in OF_VEHICLE:
-        value, spread = getattr(owner, name), owner.vehicle_uncertainty
+        value = getattr(owner, name)
         if value is not None and value == value:
-            ends = getattr(spread, f"{name}_interval", None)
-            yield label, measured(value, unit, getattr(spread, name, None), ends)
+            yield from _quantity(label, owner, name, unit, owner.vehicle_uncertainty)
 
 
 def _answer(estimate: Estimate) -> Rows:
     """Rows of the parameters, of the shape, of how well they fit, and of the status."""
     for symbol, name, unit in PARAMETERS:
-        ends = getattr(estimate.uncertainty, f"{name}_interval", None)
-        spread, label = getattr(estimate.uncertainty, name, None), name.replace("_", " ")
-        yield f"{label:<14} {symbol}", measured(getattr(estimate, name), unit, spread, ends)
+        label = f"{name.replace('_', ' '):<14} {symbol}"
+        yield from _quantity(label, estimate, name, unit, estimate.uncertainty)
     yield from _shape(estimate)
     yield from _vehicle(estimate)
     if estimate.freed:
@@ -131,7 +128,7 @@ def _answer(estimate: Estimate) -> Rows:
     yield "", ""
     for number, scale in enumerate(estimate.scales, start=1):
         parts = [
-            f"{symbol} {measured(value, unit, getattr(scale.uncertainty, name, None))}"
+            f"{symbol} {measured(value, unit, scale.uncertainty and scale.uncertainty.get(name))}"
             for symbol, name, unit in PARAMETERS
             if (value := getattr(scale, name)) == value
         ]
@@ -140,18 +137,14 @@ def _answer(estimate: Estimate) -> Rows:
         yield f"flow {number} of {len(estimate.scales)}", " ".join(", ".join(parts).split())
     yield from [("", "")] if estimate.scales else []
     reason = f": {estimate.reason}" if estimate.reason else ""
-    yield "status", coloured(estimate.status) + reason
-    yield "back-end", f"{estimate.backend}  {typed(estimate.settings)}".rstrip()
-    meaning = MEANINGS.get(certificate.kind, "") if certificate else ""
-    yield "certificate", proof(certificate) + (f"  ({meaning})" if meaning else "")
-    yield "problem", f"{estimate.samples} samples x {estimate.columns} columns"
-    yield "time", duration(estimate.seconds)
+    yield "status", terminal.coloured(estimate.status) + reason
+    yield "back-end", f"{estimate.backend}  {terminal.typed(estimate.settings)}".rstrip()
+    yield "certificate", terminal.proof(certificate)
 
 
 def _shape(estimate: Estimate) -> Rows:
     """Rows of what the cells are where they are not simply squares along the axes that stand."""
-    shape, spread, drift = estimate.shape, estimate.shape_uncertainty, estimate.drift
-    moves = drift is not None and any(drift)
+    shape, spread, moves = estimate.shape, estimate.shape_uncertainty, any(estimate.drift or ())
     if not shape or (shape == "axis" and not moves):
         return
     name = SHAPES[shape] if len(estimate.scales) < 2 else "flows of cells, superposed"
@@ -162,35 +155,29 @@ def _shape(estimate: Estimate) -> Rows:
         degrees, error = math.degrees(estimate.heading), math.degrees(spread.heading)
         yield "heading", f"{degrees:.{decimals(error)}f} degrees  ± {error:.2g}"
     if shape in ("rectangle", "pair"):
-        yield "length scales  x, y", measured(estimate.length_scales, "m", spread.length_scales)
-    if moves and drift is not None:
-        yield "drift", measured(drift, "m/s", spread.drift)
+        yield from _quantity("length scales  x, y", estimate, "length_scales", "m", spread)
+    if moves:
+        yield from _quantity("drift", estimate, "drift", "m/s", spread)
 
 
-def measured(
-    value: float | tuple[float, float],
-    unit: str,
-    spread: float | tuple[float, float] | None,
-    ends: tuple[float, float] | None = None,
-) -> str:
+def measured(value: Any, unit: str, spread: Any, ends: tuple[float, float] | None = None) -> str:
     """A value, or a pair, to two digits of its standard error, and its 95 % interval."""
     if value != value:
         return f"{'–':>9} {unit}"
-    spreads = spread if isinstance(spread, tuple) else (spread,)
+    values, spreads = (own if isinstance(own, tuple) else (own,) for own in (value, spread))
     errors = [each for each in spreads if each is not None and math.isfinite(each)]
-    finest = min(errors) if len(errors) == len(spreads) else math.nan
-    places = decimals(finest) if finest == finest else 4
-    if isinstance(value, tuple):
-        words = f"({value[0]:.{places}f}, {value[1]:.{places}f}) {unit}"
-    else:
-        words = f"{value:>9.{places}f} {unit:<3}"
+    finest = min(errors) if len(errors) == len(values) else math.nan
+    places = decimals(finest)
+
+    def text(numbers: Sequence[float], kind: str) -> str:
+        joined = ", ".join(f"{number:{kind}}" for number in numbers)
+        return f"({joined})" if len(numbers) > 1 else joined
+
+    words = f"{text(values, f'.{places}f'):>9} {unit:<3}"
     if spread is None:
         return words.rstrip()
     if finest != finest:
         return f"{words}  ± unknown"
-    kind = f".{places}f" if finest >= FINEST else ".1e"
-    shown = ", ".join(f"{each:{kind}}" for each in errors)
-    if isinstance(value, tuple):
-        return f"{words}  ± ({shown})"
-    interval = f"  (95 %: {ends[0]:.{places}f} … {ends[1]:.{places}f})" if ends else ""
-    return f"{words}  ± {shown}" + interval * (finest >= FINEST)
+    fine = finest >= FINEST
+    interval = f"  (95 %: {ends[0]:.{places}f} … {ends[1]:.{places}f})" if ends and fine else ""
+    return f"{words}  ± {text(errors, f'.{places}f' if fine else '.1e')}{interval}"

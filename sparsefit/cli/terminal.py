@@ -1,16 +1,18 @@
-"""Output of verbs: colours, durations, progress, and checks of files to write."""
+"""Output of verbs: one way to print an outcome, colours, progress, and checks of files to write."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sys
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sparsefit.errors import InputError, one_of
+from sparsefit.errors import InputError, one_line, one_of
 
 if TYPE_CHECKING:
     from sparsefit.regression import Certificate
@@ -18,19 +20,52 @@ if TYPE_CHECKING:
 COLOURS = {"ok": "32", "inaccurate": "33", "unidentifiable": "33", "misfit": "33", "skipped": "33"}
 
 
-def coloured(status: str, text: str | None = None) -> str:
-    """A status, or a text about it, in its colour where stdout is a terminal that shows colours."""
-    text = status if text is None else text
-    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return text
-    return f"\033[{COLOURS.get(status, '31')}m{text}\033[0m"
+class Reply(NamedTuple):
+    """The outcome of a verb: a JSON-ready record, lines in place of its rows, and the exit code."""
+
+    record: Mapping[str, Any]
+    lines: Iterable[str] | None = None
+    code: int = 0
 
 
-def rows_of(pairs: Iterable[tuple[str, str]], width: int = 0) -> list[str]:
+def emit(reply: Reply, *, as_json: bool) -> None:
+    """Print an outcome: as JSON, as its lines, or as a row for each value of its record."""
+    if as_json:
+        print(json.dumps(reply.record, indent=2, allow_nan=False, ensure_ascii=False))
+    else:
+        print("\n".join(rows(entries(reply.record)) if reply.lines is None else reply.lines))
+    sys.stdout.flush()
+
+
+def entries(record: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """Labels and texts of the values of a record, and of the records within it."""
+    for key, value in record.items():
+        label = f"{before}{key}"
+        if isinstance(value, Mapping):
+            yield from entries(value, f"{label} ")
+        elif isinstance(value, list) and value and isinstance(value[0], Mapping):
+            for item in value:
+                yield "", ""
+                yield from entries(item)
+        elif isinstance(value, list):
+            yield label, one_line(f"{len(value)}: {'; '.join(map(str, value))}", terminal_width())
+        else:
+            text = f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
+            yield label, coloured(text) if key == "status" else text
+
+
+def rows(pairs: Iterable[tuple[str, str]], width: int = 0) -> list[str]:
     """Lines `label  value` with all values below each other; width [characters] at least."""
     table = list(pairs)
     width = max([width, *(len(label) for label, _ in table)])
     return [f"{label:<{width}}  {value}".rstrip() for label, value in table]
+
+
+def coloured(status: str) -> str:
+    """A status in its colour where stdout is a terminal that shows colours."""
+    if not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return status
+    return f"\033[{COLOURS.get(status, '31')}m{status}\033[0m"
 
 
 def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> None:
@@ -52,24 +87,12 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
         raise InputError(f"{path} exists; add --force or choose another name")
 
 
-def check_folder(path: str, *, force: bool = False) -> Path:
-    """The folder to write, refused before any work where it holds files of others."""
-    folder = Path(path)
-    if not path.strip():
-        raise InputError("the name of the folder to write is empty; give one")
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{path} is a file; choose another name for the folder")
-    if folder.is_dir() and any(folder.iterdir()) and not force:
-        raise InputError(f"{path} is not empty; add --force or choose another name")
-    return folder
-
-
 def proof(certificate: Certificate | None) -> str:
     """A certificate in words, `duality_gap 1.2e-10`, or `none`."""
     return f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
 
 
-def typed(settings: dict[str, Any]) -> str:
+def typed(settings: Mapping[str, Any]) -> str:
     """Settings as they are typed: `alpha_fraction=0.1 separate=false`."""
     return " ".join(
         f"{key}={str(value).lower() if isinstance(value, bool) or value is None else value}"
@@ -78,15 +101,8 @@ def typed(settings: dict[str, Any]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time span in words: `0.42 s`, `35 s`, `4 min 05 s`, `2 h 10 min`."""
-    if seconds < 9.95:
-        return f"{seconds:.2g} s"
-    if seconds < 59.5:
-        return f"{seconds:.0f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes < 60:
-        return f"{minutes} min {rest:02d} s"
-    return f"{minutes // 60} h {minutes % 60:02d} min"
+    """A time span in words: `0.42 s`, `35 s`, `0:04:05`."""
+    return f"{seconds:.2g} s" if seconds < 59.5 else str(timedelta(seconds=round(seconds)))
 
 
 def terminal_width() -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from sparsefit.cli.options import SETTING, Option, Reply, Verbs, collected, verb
-from sparsefit.cli.terminal import duration, proof, typed
+from sparsefit.cli.options import SETTING, Option, Verbs, verb
+from sparsefit.cli.terminal import Reply, duration, proof, typed
 from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
 
 ABOUT = """List the back-ends with their settings, or check that one works.
@@ -39,30 +39,20 @@ def run_list(args: argparse.Namespace) -> Reply:
     from sparsefit.solvers.registry import Recipe, solver_names
     from sparsefit.study.worker import in_child
 
-    ours, records = (*backends.BACKENDS, *backends.PUBLIC), []
-    for name in (*backends.known(), *backends.PUBLIC):
+    def record(name: str) -> dict[str, Any]:
         try:
-            record = _record(name) if name in ours else in_child(_record, name, seconds=20.0)
+            ours = name in (*backends.BACKENDS, *backends.PUBLIC)
+            return _record(name) if ours else in_child(_record, name, seconds=20.0)
         except InputError as error:
-            record = {"name": name, "error": str(error)}
-        records.append(record)
-    solvers = installed_solvers()
+            return {"name": name, "error": str(error)}
+
     others = [Recipe(name) for name in solver_names()]
-    public = [{"name": o.name, "form": o.form, "installed": not o.missing} for o in others]
-    lines = list[str]()
-    for record in records:
-        about = {"missing": "missing", "error": "broken"}
-        words = [f"{word}: {record[key]}" for key, word in about.items() if key in record]
-        if not words:
-            settings = typed(record["settings"]) or "none"
-            words = [record["summary"], f"certificate: {record['certificate']}",
-                     f"settings: {settings}"]  # fmt: skip
-        lines += [record["name"], *(f"  {line}" for line in words), ""]
-    lines.append(f"solvers that cvxpy finds here: {', '.join(solvers)}")
-    lines.append(f"other solvers: {', '.join(o.name for o in others if not o.missing)}")
-    lines += [f"  missing: {other.missing}" for other in others if other.missing]
-    every = {"backends": records, "cvxpy_solvers": solvers, "solvers": public}
-    return Reply(every, lines)
+    return Reply({
+        "backends": [record(name) for name in (*backends.known(), *backends.PUBLIC)],
+        "cvxpy_solvers": installed_solvers(),
+        "solvers": [other.name for other in others if not other.missing],
+        "missing": {other.name: other.missing for other in others if other.missing},
+    })  # fmt: skip
 
 
 def _record(name: str) -> dict[str, Any]:
@@ -75,13 +65,9 @@ def _record(name: str) -> dict[str, Any]:
         return {"name": name, "missing": str(error)}
     except (InputError, TypeError) as error:  # a plug-in whose settings have no defaults
         return {"name": name, "error": one_line(str(error))}
-    summary = (loaded.__doc__ or "").strip().split("\n\n")[0]
-    return {
-        "name": name,
-        "summary": " ".join(summary.split()),
-        "certificate": loaded.certificate_kind,
-        "settings": settings,
-    }
+    summary = " ".join((loaded.__doc__ or "").strip().split("\n\n")[0].split())
+    kind = loaded.certificate_kind
+    return {"name": name, "summary": summary, "certificate": kind, "settings": settings}
 
 
 def run_check(args: argparse.Namespace) -> Reply:
@@ -94,7 +80,7 @@ def run_check(args: argparse.Namespace) -> Reply:
     from sparsefit.study.worker import in_child
 
     one_of("back-end", args.name, (*backends.known(), *backends.PUBLIC))
-    settings, seconds = collected(args.setting), positive("--timeout", args.timeout, "s")
+    settings, seconds = dict(args.setting), positive("--timeout", args.timeout, "s")
     if args.name in backends.BACKENDS:
         record = _tried(args.name, settings)
     else:
@@ -103,8 +89,8 @@ def run_check(args: argparse.Namespace) -> Reply:
         except InputError as error:
             named = "" if args.name in str(error) else f"back-end {args.name!r} "
             raise InputError(f"{named}{error}") from None
-    answer = {key: value for key, value in record.items() if key != "lines"}
-    return Reply(answer, record["lines"], int(record["status"] != "ok" or bool(record["faults"])))
+    lines = record.pop("lines")
+    return Reply(record, lines, int(record["status"] != "ok" or bool(record["faults"])))
 
 
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sparsefit.cli.estimator_file import ALL, estimator_of
-from sparsefit.cli.options import FORCE, Option, Reply, Verbs, verb
-from sparsefit.cli.terminal import check_output
+from sparsefit.cli.options import FORCE, Option, Verbs, verb
+from sparsefit.cli.terminal import Reply, check_output
 from sparsefit.errors import InputError, one_line, told_with
 from sparsefit.whole_file import write_whole
 
@@ -88,10 +87,8 @@ def run(args: argparse.Namespace) -> Reply:
         write_whole(args.plot, encoded(figure, Path(args.plot).suffix.lower()))
     records = [log.record() for log in logs]
     read = {"log": records[0]} if len(logs) == 1 else {"logs": records}
-    said = lines(logs, estimate, estimator.library.unknown)
-    if estimate.status != "ok" and not sys.stdout.isatty():  # there it has just been read
-        print(f"sparsefit: {estimate.status}: {estimate.reason}", file=sys.stderr)
-    return Reply(estimate.to_dict() | read, said, int(estimate.status != "ok"))
+    answer = lines(logs, estimate, estimator.library.unknown)
+    return Reply(estimate.to_dict() | read, answer, int(estimate.status != "ok"))
 
 
 def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
@@ -136,17 +133,8 @@ def _flight(
             settings.pop(other, None)
         if law in unknown and law not in settings:  # a flight needs one, that nothing reads
             settings = {k: v for k, v in settings.items() if k != other} | {law: 1.0}
-    if "response_time" not in settings and "drag" not in settings:
-        cause = "the file has no `# response_time=` line; add it or give --response-time"
-        if given:
-            cause = "the file has none; give --response-time too"
-        elif table.notes:  # no line of ours can be added to a log of others
-            cause = "the log does not tell; give --response-time, or --unknown response_time"
-        raise InputError(f"{path}: no vehicle: {cause}")
-    with told_with("the command line" if given else path):
-        vehicle = vehicle_of(settings)
     with told_with(path):
-        flight = table.flight(vehicle)
+        flight = table.flight(vehicle_of(settings))
         begin, end = (getattr(args, name) for name in ("begin", "end"))
         late = flight.time >= (flight.time[0] if begin is None else begin)
         return flight.rows(late & (flight.time <= (flight.time[-1] if end is None else end)))

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 from sparsefit.cli.estimator_file import read_estimator
-from sparsefit.cli.options import Option, Reply, Verbs, verb
-from sparsefit.cli.terminal import check_folder
-from sparsefit.errors import one_line
+from sparsefit.cli.options import Option, Verbs, verb
+from sparsefit.cli.terminal import Reply
+from sparsefit.errors import InputError, one_line
 from sparsefit.whole_file import write_whole
 
 OPTIONS = (
@@ -37,7 +37,13 @@ def run(args: argparse.Namespace) -> Reply:
     from sparsefit.logs import read_flight
     from sparsefit.onboard.c_source import package
 
-    folder = check_folder(args.folder, force=args.force)
+    folder = Path(args.folder)
+    if not args.folder.strip():
+        raise InputError("the name of the folder to write is empty; give one")
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{args.folder} is a file; choose another name for the folder")
+    if folder.is_dir() and any(folder.iterdir()) and not args.force:
+        raise InputError(f"{args.folder} is not empty; add --force or choose another name")
     estimator = read_estimator(args.estimator)
     flight = None if args.flight is None else read_flight(args.flight)
     source = Path(args.estimator).name
@@ -46,13 +52,8 @@ def run(args: argparse.Namespace) -> Reply:
     for path, file in content.items():
         (folder / path).parent.mkdir(parents=True, exist_ok=True)
         write_whole(folder / path, file)
-    grid = estimator.library.grid
-    costs = ("RAM ", "flas", "stac", "work", "    ")
     readme = content["README.md"].decode().splitlines()
-    lines = [
-        f"{one_line(args.folder)}: sf_flow.h, sf_flow.c, CMakeLists.txt, README.md, test/",
-        f"       {grid.lower:g} to {grid.upper:g} m, {real}",
-        *(line[4:] for line in readme if line[4:8] in costs),
-    ]
+    costs = [line[4:] for line in readme if line[4:8] in ("RAM ", "work", "    ")]
     files = [str(folder / path) for path in content]
-    return Reply({"folder": args.folder, "number": real, "written": files}, lines)
+    record = {"folder": args.folder, "number": real, "written": files}
+    return Reply(record, [f"{one_line(args.folder)}: {', '.join(content)}", *costs])

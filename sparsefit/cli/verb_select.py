@@ -8,17 +8,8 @@ import sys
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.options import (
-    FORCE,
-    RESULTS,
-    Option,
-    OptionPlace,
-    Reply,
-    Verbs,
-    option_of,
-    verb,
-)
-from sparsefit.cli.terminal import Progress, check_output
+from sparsefit.cli.options import FORCE, RESULTS, Option, OptionPlace, Verbs, option_of, verb
+from sparsefit.cli.terminal import Progress, Reply, check_output
 from sparsefit.cli.verb_study import STUDY, stored
 from sparsefit.study.keys import SelectionRule
 from sparsefit.study.schema import names_of, sentences

@@ -6,12 +6,11 @@ Its options are the quantities that a study draws, by name: `length_scale` is `-
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from typing import Any
 
-from sparsefit.cli.options import FORCE, Option, OptionPlace, Reply, Verbs, option_of, verb
-from sparsefit.cli.terminal import check_output
+from sparsefit.cli.options import FORCE, Option, OptionPlace, Verbs, option_of, verb
+from sparsefit.cli.terminal import Reply, check_output
 from sparsefit.errors import integer, one_line
 from sparsefit.study.quantities import QUANTITIES, FlightWords
 from sparsefit.study.schema import described, sentences
@@ -74,15 +73,9 @@ def run(args: argparse.Namespace) -> Reply:
         default.pop("response_time", None)
     draw = read_flight_rules(section | default, OptionPlace("")).draw(0, 1, args.seed)
     values = draw.values
-    if (samples := values["duration"] * values["sample_rate"]) > 100_000:  # seconds of work
-        print(f"flying {samples:.3g} samples; Ctrl-C stops it, and writes nothing", file=sys.stderr)
     flight = replace(draw, turbulence_seed=args.seed).fly(SeedSequence(args.seed))
     write_flight(flight, args.output, overwrite=args.force)
-    through = "still air" if draw.flown is None else "air without cells"
-    if draw.flow is not None:
-        speed, scale = values["mean_velocity"], values["length_scale"]
-        through = f"a flow of {speed:g} m/s and {scale:g} m ({scale / speed:.3g} s)"
     words = f"{flight.samples} samples over {flight.duration:g} s, {flight.extent:.3g} m across"
     record = {**values, "output": args.output, "seed": args.seed, "samples": flight.samples,
               "extent": flight.extent}  # fmt: skip
-    return Reply(record, [f"{one_line(args.output)}: {words}, in {through}"])
+    return Reply(record, [f"{one_line(args.output)}: {words}"])

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli import terminal
-from sparsefit.cli.options import FORCE, RESULTS, Option, Reply, Verbs, print_help, verb
-from sparsefit.cli.terminal import coloured, rows_of, terminal_width
-from sparsefit.errors import InputError, non_negative, one_line, told_with
+from sparsefit.cli.options import FORCE, PAIRS, RESULTS, Option, Verbs, print_help, verb
+from sparsefit.cli.terminal import Reply, terminal_width
+from sparsefit.errors import InputError, non_negative, told_with
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,8 +26,8 @@ example:
   sparsefit study show studies/NAME.toml
 """
 STUDY = Option("study", "study file, .toml", "STUDY")
+COUNTS = ("done", "resumed", "computed", "stale", "dropped", "processes", "seconds")
 STALE = "computed by other code than this; study run --stale renews"
-REPEATED = {"action": "append", "default": []}
 RUN = (
     Option("--processes", "default: one per processor of this machine", "N", int),
     Option("--fresh", "start over, and drop the cases that are there", read=None),
@@ -38,11 +37,11 @@ RUN = (
     Option("--scheduler", "of dask (an extra), tcp://host:8786 say, whose workers compute in place "
            "of processes of this machine", "ADDRESS"),
     Option("--only", "compute no case but those of this back-end, label, protocol, problem or "
-           "solver (* for any letters) or case id; repeat it for more", "NAME", extra=REPEATED),
+           "solver (* for any letters) or case id; repeat it for more", "NAME", extra=PAIRS),
 )  # fmt: skip
 SHOW = (
     Option("--table", "one table, or more if repeated; default: those of the study", "NAME",
-           extra=REPEATED),
+           extra=PAIRS),
     Option("--case", "run this one case again in this process, draw it, and print its numbers "
            "beside the stored ones; ids stand in cases.parquet, in `errors` and in report.html",
            "CASE_ID"),
@@ -111,30 +110,16 @@ def _checked(args: argparse.Namespace) -> Study:
 
 
 def check(args: argparse.Namespace) -> Reply:
-    """Check a study file, and say on one line what it plans."""
+    """Check a study file, and say how many cases it plans."""
     study = _checked(args)
-    cases = study.planned.size
-    record = {"study": study.name, "cases": cases, "hash": study.hash, "missing": study.missing}
-    kind = "" if study.kind == "flights" else f" of {study.kind}"
-    heading = f"{args.study}: ok, study {study.name}{kind} plans {cases} cases"
-    missing = [f"  missing: {name}: {reason}" for name, reason in study.missing.items()]
-    return Reply(record, [heading, *missing])
+    counts = {"kind": study.kind, "cases": study.planned.size, "hash": study.hash}
+    return Reply({"study": study.name, "status": "ok", **counts, "missing": study.missing})
 
 
 def plan(args: argparse.Namespace) -> Reply:
     """Count what a study will do and write."""
     study = read_study(args)
-    record = {"study": study.name, "question": study.question, **study.counts()}
-    rows = list[tuple[str, str]]()
-    for name, value in record.items():
-        if isinstance(value, dict):
-            rows += ((f"{name.rstrip('s')} {key}", str(item)) for key, item in value.items())
-        elif isinstance(value, list):
-            words = f"{len(value)}: {'; '.join(value)}" if value else "none"
-            rows.append((name, one_line(words, terminal_width())))
-        else:
-            rows.append((name, str(value)))
-    return Reply(record, rows_of(rows))
+    return Reply({"study": study.name, "question": study.question, **study.counts()})
 
 
 def keys(args: argparse.Namespace) -> Reply:
@@ -146,9 +131,7 @@ def keys(args: argparse.Namespace) -> Reply:
     from sparsefit.study.definition import keys_of
     from sparsefit.study.keys import OWN
 
-    record = {name: keys_of(name) for name in ([args.section] if args.section else OWN)}
-    parts = ("\n".join([f"[{name}]", *rows_of(words.items())]) for name, words in record.items())
-    return Reply(record, ["\n\n".join(parts)])
+    return Reply({name: keys_of(name) for name in ([args.section] if args.section else OWN)})
 
 
 def run_study(args: argparse.Namespace) -> Reply:
@@ -165,29 +148,15 @@ def run_study(args: argparse.Namespace) -> Reply:
     _warn(summary.damaged, "damaged, and computed again")
     _warn(summary.stale, STALE)
     args.stopped = "stopped while writing the report; run the same command again to continue"
-    counts = ("done", "resumed", "computed", "stale", "dropped", "seconds")
     record = {"study": study.name, "folder": str(summary.folder), "cases": summary.planned,
-              "statuses": dict(summary.statuses),
-              **{name: getattr(summary, name) for name in counts}}  # fmt: skip
-    counted, lines = _by_status(summary.statuses), list[str]()
-    if summary.computed:
-        before = f", {summary.resumed} of them from before" if summary.resumed else ""
-        together = f" on {summary.processes} processes" if summary.processes > 1 else ""
-        took = f"{terminal.duration(summary.seconds)}{together}"
-        lines.append(f"{summary.done} cases{before} ({counted}) in {took}")
-    else:
-        there = "all" if summary.finished else f"{summary.done} of"
-        lines.append(f"nothing to run: {there} {summary.planned} cases were there ({counted})")
-    if summary.finished:
-        written, cases = page.write(study), study.cases
-        record |= {"headline": page.headline(study, cases), "written": list(map(str, written))}
-        shown = "" if args.json else page.show(study, cases, width=terminal_width())
-        lines = [shown.rstrip("\n"), "", *lines]
-        lines.append(f"written to {summary.folder}; start with {written[-1]}")
-    else:
-        rest = "run without --only for the rest, and the report"
-        lines.append(f"{summary.done} of {summary.planned} cases are there: {rest}")
-    return Reply(record, lines)
+              **{name: getattr(summary, name) for name in COUNTS},
+              "statuses": dict(summary.statuses)}  # fmt: skip
+    if not summary.finished:
+        return Reply(record | {"rest": "run without --only for the rest, and the report"})
+    written, cases = list(map(str, page.write(study))), study.cases
+    record |= {"headline": page.headline(study, cases), "written": written}
+    shown = "" if args.json else page.show(study, cases, width=terminal_width())
+    return Reply(record, [shown, *terminal.rows(terminal.entries(record))])
 
 
 def _warn(count: int, words: str) -> None:
@@ -196,25 +165,14 @@ def _warn(count: int, words: str) -> None:
         print(f"{count} case{'s' * (count > 1)} {words}", file=sys.stderr)
 
 
-def _by_status(statuses: Mapping[str, int]) -> str:
-    """`93 ok, 2 unidentifiable`, in the order of the vocabulary."""
-    from sparsefit.study.columns import STATUSES
-
-    order = [name for name in STATUSES if statuses.get(name)]
-    return ", ".join(f"{statuses[name]} {coloured(name)}" for name in order) or "none"
-
-
 def status(args: argparse.Namespace) -> Reply:
     """Tell how far a study is, also while it runs."""
     study = read_study(args)
     state = study.status()
+    _warn(state.stale, STALE)
     record = {"study": study.name, "folder": str(state.folder), "planned": state.planned}
     record |= {"done": state.done, "finished": state.finished, "stale": state.stale}
-    record |= {"statuses": dict(state.statuses), "versions": dict(state.versions)}
-    words = "finished" if state.finished else "not finished" if state.done else "not begun"
-    counted = f"{state.done} of {state.planned} cases ({_by_status(state.statuses)})"
-    _warn(state.stale, STALE)
-    return Reply(record, [f"{study.name}: {words}, {counted} in {state.folder}"])
+    return Reply(record | {"statuses": dict(state.statuses), "versions": dict(state.versions)})
 
 
 def errors(args: argparse.Namespace) -> Reply:
@@ -231,13 +189,8 @@ def errors(args: argparse.Namespace) -> Reply:
                                      dropna=False)
     ]  # fmt: skip
     groups.sort(key=lambda group: -group["cases"])
-    so_far = "" if state.finished else f" (not finished: {state.done} of {state.planned} so far)"
-    lines = [f"{study.name}: {len(cases)} of {state.done} cases are not ok{so_far}"]
-    for group in groups:
-        status, label, reason, case = (one_line(str(group[name])) for name in names)
-        lines += [f"\n{group['cases']} x {coloured(status)}, {label}"]
-        lines += [f"  {reason or 'no reason given'}", f"  first case: {case}"]
-    return Reply({"study": study.name, "done": state.done, "groups": groups}, lines)
+    done = {"done": state.done, "planned": state.planned, "not_ok": len(cases)}
+    return Reply({"study": study.name, **done, "groups": groups})
 
 
 def show(args: argparse.Namespace) -> Reply:
@@ -271,7 +224,7 @@ def report(args: argparse.Namespace) -> Reply:
     study, state = stored(args, whole=True)
     _warn(state.stale, STALE)
     written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
-    return Reply({"headline": headline, "written": written}, filter(None, [headline, *written]))
+    return Reply({"headline": headline, "written": written})
 
 
 def compare(args: argparse.Namespace) -> Reply:
@@ -314,10 +267,6 @@ def merge(args: argparse.Namespace) -> Reply:
     now = study.status()
     if now.finished:
         page.write(study)
-    lines = [f"{part.folder}: {part.taken} of its {part.rows} rows were new" for part in merged]
-    rest = f"{now.planned - now.done} left to run: sparsefit study run {args.study}"
-    state = "finished" if now.finished else rest
-    lines.append(f"{now.folder}: {now.done} of {now.planned} cases, {state}")
-    parts = [{**part._asdict(), "folder": str(part.folder)} for part in merged]
     record = {"study": study.name, "folder": str(now.folder), "planned": now.planned}
-    return Reply(record | {"done": now.done, "parts": parts}, lines)
+    parts = [{**part._asdict(), "folder": str(part.folder)} for part in merged]
+    return Reply(record | {"done": now.done, "finished": now.finished, "parts": parts})

@@ -126,7 +126,8 @@ def vehicle_of(settings: Mapping[str, float]) -> PointMassVehicle:
     tau, quadratic, ax, ay, scale = (settings.get(key, least) for key, least in VEHICLE.items())
     if tau == math.inf and not quadratic:
         raise InputError(
-            "no vehicle: the file has no `# response_time=` line; add it or pass vehicle="
+            "no vehicle: the log tells no response time; add the line `# response_time=` to a CSV "
+            "file, or give one (vehicle=, --response-time, --unknown response_time)"
         )
     return PointMassVehicle(tau, (ax, ay), quadratic, scale)
 
