@@ -127,8 +127,9 @@ def _answer(estimate: Estimate) -> Rows:
             yield "turbulence", f"{fit.turbulence:.3g} m/s rms, {share:.3g} % of U0"
     yield "", ""
     for number, scale in enumerate(estimate.scales, start=1):
+        spreads: dict[str, Any] = scale.uncertainty or {}
         parts = [
-            f"{symbol} {measured(value, unit, scale.uncertainty and scale.uncertainty.get(name))}"
+            f"{symbol} {measured(value, unit, spreads.get(name))}"
             for symbol, name, unit in PARAMETERS
             if (value := getattr(scale, name)) == value
         ]
@@ -140,6 +141,7 @@ def _answer(estimate: Estimate) -> Rows:
     yield "status", terminal.coloured(estimate.status) + reason
     yield "back-end", f"{estimate.backend}  {terminal.typed(estimate.settings)}".rstrip()
     yield "certificate", terminal.proof(certificate)
+    yield "problem", f"{estimate.samples} samples x {estimate.columns} columns"
 
 
 def _shape(estimate: Estimate) -> Rows:

@@ -48,9 +48,10 @@ def entries(record: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
                 yield "", ""
                 yield from entries(item)
         elif isinstance(value, list):
-            yield label, one_line(f"{len(value)}: {'; '.join(map(str, value))}", terminal_width())
+            words = f"{len(value)}: {'; '.join(map(str, value))}" if value else "none"
+            yield label, one_line(words, terminal_width())
         else:
-            text = f"{value:.6g}" if isinstance(value, float) else one_line(str(value))
+            text = f"{value:.6g}" if isinstance(value, float) else one_line(typed({"": value})[1:])
             yield label, coloured(text) if key == "status" else text
 
 

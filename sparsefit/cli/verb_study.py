@@ -154,7 +154,7 @@ def run_study(args: argparse.Namespace) -> Reply:
     if not summary.finished:
         return Reply(record | {"rest": "run without --only for the rest, and the report"})
     written, cases = list(map(str, page.write(study))), study.cases
-    record |= {"headline": page.headline(study, cases), "written": written}
+    record |= {"headline": page.headline(study, cases), "written": written, "report": written[-1]}
     shown = "" if args.json else page.show(study, cases, width=terminal_width())
     return Reply(record, [shown, *terminal.rows(terminal.entries(record))])
 

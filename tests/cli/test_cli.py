@@ -187,7 +187,7 @@ def test_estimate_that_is_not_ok_exits_1_and_is_printed_all_the_same(capsys, fli
     assert code == 1
     assert json.loads(out)["status"] == "unidentifiable"
     assert json.loads(out)["length_scale"] is None
-    assert err.startswith("sparsefit: unidentifiable: ")
+    assert err == ""
     code, out, _ = run(capsys, "estimate", flight, *options)
     assert code == 1
     assert "length scale   L_w            – m" in out
@@ -215,8 +215,10 @@ def test_vehicle_of_the_command_line_replaces_only_what_it_names(capsys, flight)
     assert "response time 0.5 s, thrust (1, 3) m/s^2" in out
     text, bare = Path(flight).read_text(), "bare.csv"
     Path(bare).write_text(re.sub("^#.*\n", "", text, flags=re.MULTILINE))
-    assert "give --response-time" in refused(capsys, "estimate", bare)
-    assert "give --response-time too" in refused(capsys, "estimate", bare, "--thrust-ax", "1")
+    for options in ((), ("--thrust-ax", "1")):
+        line = refused(capsys, "estimate", bare, *options)
+        assert "no vehicle: the log tells no response time" in line
+        assert "--response-time" in line
     _, out, _ = run(capsys, "estimate", bare, *COARSE, *PAPER, "--response-time", "0.5")
     assert "response time 0.5 s, thrust (0, 0) m/s^2" in out
 
@@ -239,7 +241,6 @@ def test_estimator_file_is_used(capsys, flight):
         (("--setting", "alpha=1"), 'unknown setting of group-lasso "alpha"'),
         (("--setting", "alpha_fraction=2"), "must be a number in (0, 1], not 2"),
         (("--setting", "alpha_fraction"), "is not key=value"),
-        (("--setting", "separate=1", "--setting", "separate=0"), "given twice"),
         (("--grid-lower", "-1e-3"), "lower must be"),
         (("--grid-lower", "13"), "upper (12 m) is below lower"),
         (("--grid-step", "1e-6"), "more than the 2048 that can be held"),
@@ -286,10 +287,12 @@ def test_what_an_estimate_raises_ends_in_a_line(capsys, flight, monkeypatch, err
 def test_backends_are_listed_with_settings_and_certificate(capsys):
     code, out, _ = run(capsys, "backends")
     assert code == 0
-    assert "group-lasso\n  1/(2m) |Y - ZV|^2 + alpha sum_g omega_g |V_g| (Yuan" in out
-    assert "certificate: duality_gap\n  settings: alpha_fraction=0.1" in out
-    assert "solvers that cvxpy finds here: clarabel" in out
-    assert "scikit-learn-lars" in out.partition("other solvers: ")[2]
+    assert re.search(
+        r"name +group-lasso\nsummary +1/\(2m\) \|Y - ZV\|\^2 \+ alpha sum_g omega_g", out
+    )
+    assert re.search(r"certificate +duality_gap\nsettings alpha_fraction +0.1", out)
+    assert re.search(r"cvxpy_solvers +\d+: clarabel", out)
+    assert "scikit-learn-lars" in out.partition("solvers")[2]
     for argv in (("backends", "--json"), ("backends", "list", "--json")):
         listed = json.loads(run(capsys, *argv)[1])
         assert [one["name"] for one in listed["backends"]][:2] == ["least-squares", "stlsq"]
