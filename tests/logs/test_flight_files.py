@@ -108,7 +108,7 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
     assert read_flight(csv_of(HEADER + ROWS), vehicle=VEHICLE).vehicle == VEHICLE
     path = csv_of("time,x,y,vx,vy\n" + ROWS)
     assert read_flight(path, vehicle=VEHICLE).vehicle == VEHICLE
-    message = r"no vehicle: the file has no `# response_time=` line; add it or pass vehicle="
+    message = r"no vehicle: the log tells no response time; add the line `# response_time=`"
     with pytest.raises(InputError, match=message):
         read_flight(path)
 
