@@ -4,7 +4,6 @@ Those of other packages are found by the entry-point group ``sparsefit.backends`
 listed with its error, and raises it when asked for.
 """
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import is_dataclass
 from importlib import import_module
@@ -160,8 +159,4 @@ def _posed(
         problem = RegressionProblem.from_arrays(problem, target, groups)
     if settings and not isinstance(backend, str):
         raise InputError(f'{verb}: settings go with a back-end\'s name: {verb}(..., "lasso", ...)')
-    values = np.unique(problem.target[:1000])
-    if np.array_equal(values, [0.0, 1.0]) and len(problem.target) >= 20:
-        words = "the target holds 0 and 1 only: it is fitted by squares, as numbers, not as classes"
-        warnings.warn(words, UserWarning, stacklevel=3)
     return problem, get(backend, **settings) if isinstance(backend, str) else named(backend)

@@ -113,15 +113,14 @@ class Path(Brief):
         """The penalties alpha (p,), in the unit of the target."""
         return self.alpha_fractions * self.alpha_max
 
-    def to_frame(self, *, scaled: bool = False) -> "pd.DataFrame":
+    def to_frame(self) -> "pd.DataFrame":
         """Weights with a row per penalty, by alpha_fraction and alpha, and the columns of theta.
 
-        Of several targets the columns are pairs (target, column). scaled: of columns of unit rms.
+        Of several targets the columns are pairs (target, column).
         """
         import pandas as pd
 
         problem = self.fits[0].problem
-        weights = self.weights * (problem.design.rms[:, None] if scaled else 1.0)
         index = pd.MultiIndex.from_arrays(
             [self.alpha_fractions, self.alphas], names=["alpha_fraction", "alpha"]
         )
@@ -129,7 +128,7 @@ class Path(Brief):
         if problem.targets > 1:
             pairs = [problem.target_names, problem.names]
             columns = pd.MultiIndex.from_product(pairs, names=["target", "column"])
-        flat = weights.transpose(0, 2, 1).reshape(len(self.fits), -1)
+        flat = self.weights.transpose(0, 2, 1).reshape(len(self.fits), -1)
         return pd.DataFrame(flat, index=index, columns=columns)
 
     def plot(self, axes: Any = None) -> Any:
@@ -138,7 +137,8 @@ class Path(Brief):
         axes: new ones by default. The ten largest have a name in the legend; a penalty whose
         certificate is above its tolerance has a mark. Returns the axes.
         """
-        frame = self.to_frame(scaled=True).droplevel("alpha").sort_index(ascending=False)
+        frame, problem = self.to_frame().droplevel("alpha"), self.fits[0].problem
+        frame = (frame * np.tile(problem.design.rms, problem.targets)).sort_index(ascending=False)
         frame = frame.loc[:, (frame.fillna(0.0) != 0.0).any()]
         frame = frame[frame.abs().max().sort_values(ascending=False, kind="stable").index]
         frame.columns = [c if isinstance(c, str) else f"{c[1]} of {c[0]}" for c in frame.columns]
@@ -177,8 +177,3 @@ class Path(Brief):
     def gaps(self) -> Array:
         """Relative duality gap (p,) of each point, NaN where there is no solution."""
         return np.array([f.certificate.value if f.certificate else np.nan for f in self.fits])
-
-    @property
-    def repaired(self) -> int:
-        """The number of points that the referee had to repair."""
-        return sum(fit.repaired for fit in self.fits)

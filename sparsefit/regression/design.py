@@ -60,7 +60,6 @@ class Design:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows m and columns k."""
         return int(self.source.shape[0]), int(self.source.shape[1])
 
     @property
@@ -113,9 +112,7 @@ class Design:
             return self.source
         if self.kind == "dask":
             return self.source * self.weights[:, None]
-        from scipy import sparse
-
-        return (sparse.diags_array(self.weights) @ self.source).tocsc()
+        return self.source.multiply(self.weights[:, None]).tocsc()
 
     @cached_property
     def csc(self) -> Any:
@@ -155,10 +152,9 @@ class Design:
             for _, block in self.blocks():
                 if self.kind == "dense":
                     total += np.einsum("ij,ij->j", block, block)
-                elif self.kind == "sparse":
-                    total += np.asarray(block.multiply(block).sum(axis=0), dtype=float).ravel()
                 else:
-                    total += np.asarray((block**2).sum(axis=0).compute(), dtype=float)
+                    square = block.multiply(block) if self.kind == "sparse" else block**2
+                    total += _array(square.sum(axis=0)).ravel()
         if self.direction is None:
             return total
         rest = np.maximum(total - self.means**2, 0.0)
@@ -262,15 +258,6 @@ class Design:
         gram.setflags(write=False)
         return gram
 
-    @property
-    def formed(self) -> bool:
-        """Whether `gram` is there already."""
-        return "gram" in vars(self)
-
-    def gram_rows(self, columns: IntArray) -> Array:
-        """The rows (c, k) of Z'Z/m of some columns; where it is not formed, only these."""
-        return self.gram[columns] if self.formed else self.products(columns, slice(None))
-
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
@@ -290,11 +277,6 @@ class Statistics:
         for array in sums:
             array.setflags(write=False)
         return cls(design, *sums)
-
-    @property
-    def samples(self) -> int:
-        """The number m of samples."""
-        return self.design.samples
 
     @property
     def rms(self) -> Array:

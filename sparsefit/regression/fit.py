@@ -62,17 +62,13 @@ def path(
     _check(problem, backend, tolerance)
     if not isinstance(backend, PenalisedBackend):
         raise InputError(f"back-end {backend.name!r} has no penalty, and so no path; use fit")
-    try:
-        given = np.atleast_1d(np.asarray(alpha_fractions))
-        wanted = given.astype(float) if given.dtype.kind in "fiuO" else np.empty(0)
-    except (TypeError, ValueError):
-        wanted = np.empty(0)
-    if wanted.ndim != 1 or not wanted.size:
+    given = np.atleast_1d(np.array(alpha_fractions, dtype=object))
+    if given.ndim != 1 or not given.size:
         words = "path needs a list of at least one alpha_fraction"
         raise InputError(f"{words}, not {alpha_fractions!r}")
-    for value in wanted[~((wanted > 0) & (wanted <= 1))].tolist():
+    for value in given.tolist():
         checked_alpha_fraction(backend.name, value)
-    return _along(problem, backend, wanted, tolerance)
+    return _along(problem, backend, given.astype(float), tolerance)
 
 
 def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: float) -> Path:

@@ -113,7 +113,7 @@ def degrees_of_freedom(
         return 0.0
     column, target = np.divmod(on, weights.shape[1])
     used, place = np.unique(column, return_inverse=True)
-    square = design.gram_rows(used)[:, used][np.ix_(place, place)]
+    square = design.products(used)[np.ix_(place, place)]
     square = np.where(target[:, None] == target, square, 0.0)
     shrink = np.eye(len(on)) if factor is None else (factor @ factor.T).toarray()
     bent = np.eye(len(on)) - shrink + shrink @ (square + ridge * np.eye(len(on)))

@@ -43,13 +43,15 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """The factors of the rows, and the direction that an intercept takes off them.
+    """Sample weights, and the direction that an intercept takes off the rows.
 
-    roots (m,): the roots of the sample weights, whose mean is 1; None where all are 1. direction
-    (m,): what the intercept's column is then; None without one. levels (n,): the weighted means of
-    the target, that were taken off.
+    raw (m, n): the target as it was; weight (m,) or None; roots (m,): of weights whose mean is 1,
+    None where all are; direction (m,): what the intercept's column is then, None without one;
+    levels (n,): the weighted means of the target, that were taken off.
     """
 
+    raw: Array
+    weight: Array | None
     roots: Array | None
     direction: Array | None
     levels: Array
@@ -61,7 +63,8 @@ class Adjustment:
         """The adjustment, if there is one, and the target (m, n) with it made."""
         if sample_weight is None and not intercept:
             return None, target
-        roots, direction, levels = None, None, np.zeros(target.shape[1])
+        raw, weight, roots, direction = target, None, None, None
+        levels = np.zeros(target.shape[1])
         if sample_weight is not None:
             weight = np.asarray(sample_weight, dtype=float)
             if weight.shape != (len(target),) or not (weight >= 0).all() or not weight.sum() > 0:
@@ -73,7 +76,7 @@ class Adjustment:
             direction = np.ones(len(target)) if roots is None else roots
             levels = direction @ target / float(direction @ direction)
             target = target - np.multiply.outer(direction, levels)
-        return cls(roots, direction, levels), target
+        return cls(raw, weight, roots, direction, levels), target
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -208,23 +211,16 @@ class RegressionProblem(Brief):
     @property
     def raw_target(self) -> Array:
         """The target (m, n) as it was, before weights and an intercept."""
-        target, adjusted = self.target, self.adjusted
-        if adjusted is not None and adjusted.direction is not None:
-            target = target + np.multiply.outer(adjusted.direction, adjusted.levels)
-        if adjusted is not None and adjusted.roots is not None:
-            target = target / np.where(adjusted.roots > 0, adjusted.roots, 1.0)[:, None]
-        return target
+        return self.target if self.adjusted is None else self.adjusted.raw
 
     def part(self, rows: IntArray) -> "RegressionProblem":
         """The problem of some samples alone. Raises InputError as `from_arrays` does."""
         adjusted, target = self.adjusted, self.raw_target[rows]
         if adjusted is not None:
-            weight = None if adjusted.roots is None else adjusted.roots[rows] ** 2
+            weight = None if adjusted.weight is None else adjusted.weight[rows]
             adjusted, target = Adjustment.of(target, weight, adjusted.direction is not None)
-        return replace(
-            self, theta=self.theta[rows], target=target, adjusted=adjusted, sample_count=None,
-            partial=True,
-        )  # fmt: skip
+        new = {"theta": self.theta[rows], "target": target, "adjusted": adjusted}
+        return replace(self, sample_count=None, partial=True, **new)
 
     def alpha_max(self, penalty: Penalty) -> float:
         """The smallest alpha whose solution is zero: the dual norm of Z'u/m of the target's u."""
@@ -237,9 +233,8 @@ class RegressionProblem(Brief):
     @property
     def means(self) -> Array:
         """The weighted means (k,) of the columns that an intercept takes off; 0 without one."""
-        if self.adjusted is None or self.adjusted.direction is None:
-            return np.zeros(self.columns)
-        means: Array = self.design.means / np.linalg.norm(self.adjusted.direction)
+        along = None if self.adjusted is None else self.adjusted.direction
+        means: Array = self.design.means / (1.0 if along is None else np.linalg.norm(along))
         return means
 
     def intercept_of(self, weights: Array) -> Array:
@@ -250,17 +245,14 @@ class RegressionProblem(Brief):
 
     @property
     def samples(self) -> int:
-        """Number of samples m."""
         return self.sample_count or int(self.theta.shape[0])
 
     @property
     def columns(self) -> int:
-        """Number of columns k."""
         return int(self.theta.shape[1])
 
     @property
     def targets(self) -> int:
-        """Number of targets n."""
         return int(self.target.shape[1])
 
     @cached_property

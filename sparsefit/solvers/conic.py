@@ -34,6 +34,7 @@ from sparsefit.regression.penalties import (
     SquaredNorm,
 )
 
+BATCH, ROUNDS = 50, 60  # columns that join at a time, cone programs at a penalty
 EPS = ("eps_abs", "eps_rel")
 BEHIND_CVXPY: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "clarabel": (("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1}),
@@ -51,15 +52,11 @@ BEHIND_CVXPY: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
 class Clarabel:
     """Clarabel on the columns in play: sparsefit's independent referee of every penalty.
 
-    Columns join as they object to being zero. batch: columns that join at a time, at least; more
-    join as the set grows. rounds: the most cone programs at a penalty.
+    Columns join as they object to being zero, half as many at a time as there are, or BATCH.
     """
 
     name: ClassVar[str] = "clarabel"
     package: ClassVar[str] = "clarabel"
-    form: ClassVar[str] = "Clarabel itself on Z'Z of a working set of columns"
-    batch: int = 50
-    rounds: int = 60
 
     def takes(self, penalty: Penalty) -> str:
         """The reason why a penalty is not solved: it states no conic form."""
@@ -77,21 +74,22 @@ class Clarabel:
             raise InputError(reason)
         weights = np.zeros((len(alphas), penalty.columns, target.shape[1]))
         level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
-        whole = isinstance(penalty, SquaredNorm)
-        whole = whole or penalty.restricted(np.arange(penalty.columns)) is None
+        whole = isinstance(penalty, SquaredNorm) or penalty.restricted(np.arange(1)) is None
         in_play = np.full(penalty.columns, whole)
-        for point, alpha in enumerate(alphas.tolist()):
-            values, status = weights[point], "Solved"
-            for _ in range(self.rounds):
-                if in_play.any():
-                    status = _solve_on(in_play, design, target, penalty, alpha, tolerance, values)
+        # Asked for 1e-12, cone programs of groups end almost solved, some at a gap of 1e-7.
+        stop = tolerance or 1e-10
+        for values, alpha in zip(weights, alphas.tolist(), strict=True):
+            status = "Solved"
+            for _ in range(ROUNDS):
+                if len(index := np.flatnonzero(in_play)):
+                    part = penalty if in_play.all() else penalty.restricted(index)
+                    values[index], status = _solved(design, index, target, part, alpha, stop)
                 if in_play.all() or not np.isfinite(values).all():
                     break
-                pull = design.correlate(
-                    penalty.loss.pull(target - design.predict(values), level, design.samples)
-                )
+                rest = target - design.predict(values)
+                pull = design.correlate(penalty.loss.pull(rest, level, design.samples))
                 excess = np.where(in_play, -1.0, penalty.objections(pull, values, alpha))
-                worst = np.argsort(-excess)[: max(self.batch, int(in_play.sum()) // 2)]
+                worst = np.argsort(-excess)[: max(BATCH, len(index) // 2)]
                 joining = worst[excess[worst] > 1e-10]
                 if not len(joining):
                     break
@@ -103,6 +101,21 @@ class Clarabel:
         return weights
 
 
+def _solved(
+    design: Design, index: IntArray, target: Array, penalty: Any, alpha: float, stop: float
+) -> tuple[Array, str]:
+    """V (j, n) of these columns, NaN where there is none, and Clarabel's status."""
+    columns = design.columns(index)
+    if _layers(penalty) is not None:
+        gram = design.products(index) + alpha * penalty.ridge * np.eye(len(index))
+        cross = columns.T @ target / design.samples
+        values, status = _cone_program(gram, cross / alpha, penalty, stop)
+        return values * alpha, status
+    program = _Program.of(columns, target, penalty, alpha, design.samples)
+    values, status = program.solved("clarabel", stop)
+    return _within_bounds(penalty, values), "Solved" if status == "optimal" else status
+
+
 def _within_bounds(penalty: Penalty, values: Array) -> Array:
     """The nearest V (k, n) that is no further than an interior point is allowed to be."""
     return penalty.prox(values, 0.0) if isinstance(penalty, BoundedValues) else values
@@ -111,35 +124,6 @@ def _within_bounds(penalty: Penalty, values: Array) -> Array:
 def _no_conic_form(penalty: Penalty) -> str:
     stated = type(penalty).conic is not Penalty.conic
     return "" if stated else f"{type(penalty).__name__} states no conic form"
-
-
-def _solve_on(
-    in_play: Any,
-    design: Design,
-    target: Array,
-    penalty: Penalty,
-    alpha: float,
-    tolerance: Tolerance,
-    into: Array,
-) -> str:
-    """Write V (k, n) with these columns in play, NaN where there is none; Clarabel's status."""
-    # Asked for 1e-12, cone programs of groups end almost solved, some at a gap of 1e-7.
-    index, stop = np.flatnonzero(in_play), tolerance or 1e-10
-    inner = penalty if in_play.all() else penalty.restricted(index)
-    assert inner is not None  # a penalty that cannot be restricted has all columns in play
-    columns = design.columns(index)
-    if _layers(inner) is not None:
-        gram = design.products(index) + alpha * inner.ridge * np.eye(len(index))
-        cross = columns.T @ target / design.samples
-        values, status = _cone_program(gram, cross / alpha, inner, stop)
-        values = values * alpha
-    else:
-        program = _Program.of(columns, target, inner, alpha, design.samples)
-        values, status = program.solved("clarabel", stop)
-        values = _within_bounds(inner, values)
-    into[...] = 0.0
-    into[index] = values
-    return "Solved" if status == "optimal" else status
 
 
 def _layers(penalty: Penalty) -> list[Any] | None:
@@ -198,7 +182,6 @@ class Cvxpy:
     """
 
     package: ClassVar[str] = "cvxpy"
-    form: ClassVar[str] = "through cvxpy, in Z'Z, compiled once"
     name: str
 
     def __post_init__(self) -> None:

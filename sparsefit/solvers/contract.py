@@ -53,12 +53,10 @@ def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
 
 def _solved(backend: Backend, problem: RegressionProblem) -> Solution:
     arrays = {name: getattr(problem, name) for name in ("theta", "target", "groups")}
-    lent = dataclasses.replace(problem, **{name: one.copy() for name, one in arrays.items()})
-    solution = backend.solve(lent)
+    lent = {name: values.copy() for name, values in arrays.items()}
+    solution = backend.solve(dataclasses.replace(problem, **lent))
     for name, values in arrays.items():
-        if not np.array_equal(getattr(lent, name), values):
-            raise InputError(
-                f"back-end {backend.name!r} writes into problem.{name}, which it is given to "
-                "read: work on a copy"
-            )
+        if not np.array_equal(lent[name], values):
+            where = f"writes into problem.{name}, which it is given to read: work on a copy"
+            raise InputError(f"back-end {backend.name!r} {where}")
     return solution

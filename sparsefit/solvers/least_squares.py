@@ -192,7 +192,7 @@ class STLSQ(Checked):
             else:
                 value = dpotrs(factor, data.cross[on, t], lower=1)[0]
                 for _ in range(2):  # corrected semi-normal equations: as accurate as QR here
-                    gradient = columns.T @ (target - columns @ value) / data.samples
+                    gradient = columns.T @ (target - columns @ value) / problem.samples
                     value = value + dpotrs(factor, gradient, lower=1)[0]
             weights[on, t] = value / design.rms[on]
         return weights

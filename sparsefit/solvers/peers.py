@@ -37,8 +37,6 @@ Kind: TypeAlias = Literal[
 """The families of penalties that public solvers know; empty for any other."""
 SINGLE: tuple[Kind, ...] = ("LASSO", "elastic net")
 GROUPED: tuple[Kind, ...] = ("group-LASSO", "joint group-LASSO")
-ON_GRAM = "on Z'Z, or on the rows where they are fewer"
-ON_ROWS = "on the rows, or on the triangle of a QR where they are many"
 
 
 def kind_of(penalty: Penalty) -> Kind:
@@ -97,7 +95,6 @@ class Task:
 
     @property
     def samples(self) -> int:
-        """The number m of samples."""
         return len(self.target)
 
     @property
@@ -357,41 +354,32 @@ class PublicSolver:
 
     solved: (task, targets, stop, iterations) -> coefficients u (p, k b) of b targets, target by
     target; package: the module it needs, and extra, what pip installs for it; kinds: the penalties
-    that it takes; form: how the problem is handed over, in words; iterations: the most at a
-    penalty, in its own unit, by default; stops: whether there is a tolerance to set; reads_sparse:
-    whether it takes scipy.sparse (others get a dense copy, which is in their time).
+    that it takes; iterations: the most at a penalty, in its own unit, by default; stops: whether
+    there is a tolerance to set; reads_sparse: whether it takes scipy.sparse (others get a dense
+    copy, which is in their time).
     """
 
     solved: Callable[..., Array]
     package: str
     kinds: tuple[Kind, ...]
-    form: str
     iterations: int = 1000
     stops: bool = True
     reads_sparse: bool = True
     extra: str = "'sparsefit[peers]'"
 
 
-BREAKPOINTS: dict[str, Any] = {"iterations": 10, "stops": False, "reads_sparse": False}
 PEERS: dict[str, PublicSolver] = {
     "scikit-learn-lars": PublicSolver(
-        by_scikit_learn_lars, "sklearn", SINGLE[:1], f"lars_path {ON_GRAM}", **BREAKPOINTS
+        by_scikit_learn_lars, "sklearn", SINGLE[:1], 10, stops=False, reads_sparse=False
     ),
     "spams": PublicSolver(
-        by_spams, "spams", SINGLE[:1], f"LARS {ON_GRAM}", **BREAKPOINTS, extra="spams-bin"
+        by_spams, "spams", SINGLE[:1], 10, stops=False, reads_sparse=False, extra="spams-bin"
     ),
-    "scikit-learn-cd": PublicSolver(
-        by_scikit_learn_cd, "sklearn", SINGLE, f"enet_path {ON_GRAM}", 100_000
-    ),
-    "celer": PublicSolver(by_celer, "celer", (*SINGLE, *GROUPED), f"celer_path {ON_ROWS}", 200),
-    "skglm": PublicSolver(
-        *(by_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
-        f"AndersonCD, GroupBCD, FISTA {ON_ROWS}",
-    ),
-    "glum": PublicSolver(by_glum, "glum", SINGLE, f"its regressor, normal {ON_ROWS}"),
-    "sortedl1": PublicSolver(
-        by_sortedl1, "sortedl1", ("SLOPE", "LASSO"), f"Slope.path {ON_ROWS}", 100_000
-    ),
+    "scikit-learn-cd": PublicSolver(by_scikit_learn_cd, "sklearn", SINGLE, 100_000),
+    "celer": PublicSolver(by_celer, "celer", (*SINGLE, *GROUPED), 200),
+    "skglm": PublicSolver(by_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
+    "glum": PublicSolver(by_glum, "glum", SINGLE),
+    "sortedl1": PublicSolver(by_sortedl1, "sortedl1", ("SLOPE", "LASSO"), 100_000),
 }
 """The public solvers of penalised least squares by name."""
 

@@ -5,11 +5,11 @@ A solver is a frozen dataclass, whose fields are its settings, with a method
     path(design, target, penalty, alphas, tolerance) -> weights (p, k, n)
 
 for 1/(2m) |Y - Z V|^2 + alpha Omega(V) at descending alphas (p,), in columns Z of unit rms, and
-optionally ``takes(penalty)``, the reason why it does not take a penalty, empty where it does. Four
-texts of its class are optional: ``package``, what must be importable; ``extra``, what pip installs
-for it; ``form``, how the problem is handed over, in words; ``stops``, False where there is no
-tolerance to set. Other packages name theirs in the entry-point group ``sparsefit.solvers``; a file
-is imported and its classes of that kind are solvers; a command is a `Command`.
+optionally ``takes(penalty)``, the reason why it does not take a penalty, empty where it does. Its
+class may have ``package``, what must be importable, ``extra``, what pip installs for it, and
+``stops``, False where there is no tolerance to set. Other packages name theirs in the entry-point
+group ``sparsefit.solvers``; a file is imported and its classes of that kind are solvers; a command
+is a `Command`.
 """
 
 import importlib.util
@@ -50,7 +50,6 @@ __all__ = [
     "LateError",
     "Recipe",
     "answers",
-    "shipped_solvers",
     "solver",
     "solver_names",
 ]
@@ -69,11 +68,6 @@ def _plugins() -> "Mapping[str, EntryPoint]":
 def solver_names() -> tuple[str, ...]:
     """Names of the solvers that ship, installed or not, then those of other packages."""
     return (*SHIPPED, *sorted(_plugins()))
-
-
-def shipped_solvers() -> set[str]:
-    """All names of solvers that ship, with those behind cvxpy."""
-    return {*SHIPPED, *BEHIND_CVXPY}
 
 
 def solver(name: str, **settings: Any) -> Any:
@@ -108,17 +102,18 @@ class Recipe:
             if self.name not in classes:
                 raise unknown(f"solver of {Path(self.file).name}", self.name, classes)
             return classes[self.name]
-        if self.name in shipped_solvers():
+        if self.name in {*SHIPPED, *BEHIND_CVXPY}:
             return SHIPPED.get(self.name, Cvxpy)
         if self.name not in _plugins():
             raise unknown("solver", self.name, (*solver_names(), *BEHIND_CVXPY))
         owner = imported(f"solver {self.name!r} (plug-in)", _plugins()[self.name].load)
         return _checked(self.name, owner)
 
-    @property
-    def _texts(self) -> Any:
-        """The entry of a public solver, else the class: its optional texts."""
-        return None if self.command else PEERS.get(self.name if not self.file else "", self.owner)
+    def _text(self, key: str, default: Any) -> Any:
+        """An optional text of a public solver's entry, else of the class."""
+        if self.command:
+            return default
+        return getattr(PEERS.get(self.name if not self.file else "", self.owner), key, default)
 
     def make(self) -> Any:
         """The solver. Raises InputError on an unknown name or setting, MissingExtra as `solver`."""
@@ -128,7 +123,7 @@ class Recipe:
             return Command(self.name, self.command, folder, dict(self.settings), *limits)
         owner = self.owner
         if self.package and importlib.util.find_spec(self.package) is None:
-            extra = getattr(self._texts, "extra", self.package)
+            extra = self._text("extra", self.package)
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
         preset = {"name": self.name} if owner in (Peer, Cvxpy) else {}
         return made(f"solver {self.name}", owner, self.settings, **preset)
@@ -143,22 +138,14 @@ class Recipe:
         return ""
 
     @property
-    def form(self) -> str:
-        """Words for how the problem is handed over."""
-        if self.command:
-            return f"the command {' '.join(self.command)}"
-        first = (self.owner.__doc__ or "").strip().split("\n")[0]
-        return str(getattr(self._texts, "form", first))
-
-    @property
     def stops(self) -> bool:
         """Whether a tolerance can be set."""
-        return bool(getattr(self._texts, "stops", True))
+        return bool(self._text("stops", True))
 
     @property
     def package(self) -> str:
         """The package that must be importable; empty of a command, and where none is needed."""
-        return str(getattr(self._texts, "package", ""))
+        return str(self._text("package", ""))
 
 
 def answers(
@@ -271,27 +258,26 @@ class Command:
         """
         if reason := self.takes(penalty):
             raise InputError(reason)
-        remaining = {"solve": self.limit}
-        call = partial(self._solved, tolerance=tolerance, remaining=remaining)
+        call = partial(self._solved, tolerance=tolerance, remaining={"solve": self.limit})
         return solved_in_parts(call, design, target, penalty, alphas)
 
     def _solved(
         self, task: Task, targets: slice, tolerance: Tolerance, remaining: dict[str, float]
     ) -> Timed:
         with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
-            folder, matrix = Path(name), task.design
-            if isinstance(matrix, np.ndarray):
-                np.save(folder / "design.npy", matrix)
+            folder = Path(name)
+            if isinstance(task.design, np.ndarray):
+                np.save(folder / "design.npy", task.design)
             else:
-                sparse.save_npz(folder / "design.npz", matrix, compressed=False)
-            np.save(folder / "target.npy", np.ascontiguousarray(task.target[:, targets]))
-            np.save(folder / "groups.npy", task.groups)
-            if task.lambdas is not None:
-                np.save(folder / "lambdas.npy", task.lambdas)
+                sparse.save_npz(folder / "design.npz", task.design, compressed=False)
+            target = np.ascontiguousarray(task.target[:, targets])
+            arrays = {"target": target, "groups": task.groups, "lambdas": task.lambdas}
+            for key, values in arrays.items():
+                if values is not None:
+                    np.save(folder / f"{key}.npy", values)
             words: dict[str, Any] = {"kind": task.kind, "ridge": task.ridge, "tolerance": tolerance}
             words |= {"fractions": task.fractions.tolist(), "settings": dict(self.settings)}
-            with (folder / "problem.json").open("w", encoding="utf-8") as file:
-                json.dump(words, file)
+            (folder / "problem.json").write_text(json.dumps(words), encoding="utf-8")
             wall, cpu = self._run(folder, remaining)
             try:
                 return Timed(np.load(folder / "answer.npy", allow_pickle=False), wall, cpu)

@@ -28,7 +28,7 @@ from sparsefit import Estimator, RegressionProblem, backends
 from sparsefit.codec import Place, integer, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
-from sparsefit.solvers.registry import Recipe, shipped_solvers, solver_names
+from sparsefit.solvers.registry import SHIPPED, Recipe, solver_names
 from sparsefit.study import crossing, data_sets, schema
 from sparsefit.study.draw import SIMULATION, stream
 from sparsefit.study.holdout import FOLDS, IN_USE
@@ -289,7 +289,7 @@ def _foreign(backend: str, recipe: Recipe | None) -> bool:
     own = backend not in backends.PUBLIC and crossing.of_others(backend)
     if recipe is None or recipe.command:
         return own
-    return own or bool(recipe.file) or recipe.name in {*solver_names()} - shipped_solvers()
+    return own or bool(recipe.file) or recipe.name in {*solver_names()} - {*SHIPPED}
 
 
 def _read_solvers(

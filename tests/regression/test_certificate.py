@@ -236,7 +236,7 @@ def test_a_compressed_problem_has_the_gap_of_its_samples():
     triangle = RegressionProblem.from_arrays(*compressed(blocks))
     small = replace(triangle, sample_count=900)
     weights = rng.normal(size=(1, 5, 2))
-    assert (small.statistics.samples, small.design.terms) == (900, 7)
+    assert (small.samples, small.design.terms) == (900, 7)
     whole = certified(theta, target, weights, [0.1], lasso_penalty(5))[0]
     alphas, penalty = np.array([0.1]), lasso_penalty(5)
     (found,) = duality_gaps(small.design, small.target, weights, alphas, penalty)

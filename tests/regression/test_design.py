@@ -13,7 +13,6 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.regression.design import Design
 from sparsefit.regression.problem import RegressionProblem
-from tests.problems import regular
 
 M, K = 60, 9
 DRAW = np.random.default_rng(3)
@@ -100,14 +99,6 @@ def test_a_column_that_is_constant_is_zero_when_centred() -> None:
     centred = Design(theta, 50, direction=np.full(50, 50**-0.5))
     assert centred.squares[0] == 0.0
     assert centred.rms[1] == pytest.approx(np.std(np.arange(50.0)))
-
-
-def test_the_gram_matrix_is_formed_for_who_asks_and_by_rows_until_then() -> None:
-    design, some = regular().design, np.array([3, 0])
-    rows = design.gram_rows(some)
-    assert not design.formed
-    np.testing.assert_allclose(rows, design.gram[some], rtol=1e-13, atol=1e-15)
-    assert design.formed
 
 
 def test_a_gram_matrix_that_does_not_fit_in_memory_is_refused(

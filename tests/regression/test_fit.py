@@ -154,7 +154,7 @@ def test_the_referee_repairs_a_wrong_fast_path(wrong):
     expected = sf.fit(PROBLEM, backends.get("lasso", alpha_fraction=0.1))
     assert found.weights == pytest.approx(expected.weights, abs=1e-4)
     along = sf.path(PROBLEM, backend, [0.5, 0.1])
-    assert along.repaired == 2
+    assert sum(fit.repaired for fit in along.fits) == 2
     assert [f.status for f in along.fits] == ["ok", "ok"]
 
 

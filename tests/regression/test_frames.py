@@ -107,9 +107,3 @@ def test_calls_that_cannot_be_meant_are_refused_in_a_line(call, words):
     with pytest.raises(InputError, match=words) as raised:
         call(*arrays())
     assert "\n" not in str(raised.value)
-
-
-def test_a_target_of_classes_is_told_to_be_fitted_by_squares():
-    theta, target = arrays(1)
-    with pytest.warns(UserWarning, match="0 and 1 only: it is fitted by squares"):
-        sf.fit(theta, (target > 0).astype(float), "lasso", alpha_fraction=0.1)

@@ -93,7 +93,6 @@ def test_a_file_beside_a_study_has_solvers_with_settings(tmp_path):
     reference = exact[1].weights
     np.testing.assert_allclose(fine[1].weights, reference, atol=1e-8)
     assert np.abs(rough[1].weights - reference).max() > 1e-3
-    assert recipes[0].form == "Proximal gradient descent."
     assert recipes[0].stops
     with pytest.raises(InputError, match=r'solver of mine\.py "other"'):
         Recipe("other", file=str(path)).make()
