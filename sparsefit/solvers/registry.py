@@ -277,7 +277,8 @@ class Command:
                     np.save(folder / f"{key}.npy", values)
             words: dict[str, Any] = {"kind": task.kind, "ridge": task.ridge, "tolerance": tolerance}
             words |= {"fractions": task.fractions.tolist(), "settings": dict(self.settings)}
-            (folder / "problem.json").write_text(json.dumps(words), encoding="utf-8")
+            with (folder / "problem.json").open("w", encoding="utf-8") as file:
+                json.dump(words, file)
             wall, cpu = self._run(folder, remaining)
             try:
                 return Timed(np.load(folder / "answer.npy", allow_pickle=False), wall, cpu)
