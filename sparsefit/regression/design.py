@@ -60,6 +60,7 @@ class Design:
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Rows m and columns k."""
         return int(self.source.shape[0]), int(self.source.shape[1])
 
     @property

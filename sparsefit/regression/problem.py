@@ -245,14 +245,17 @@ class RegressionProblem(Brief):
 
     @property
     def samples(self) -> int:
+        """Number of samples m."""
         return self.sample_count or int(self.theta.shape[0])
 
     @property
     def columns(self) -> int:
+        """Number of columns k."""
         return int(self.theta.shape[1])
 
     @property
     def targets(self) -> int:
+        """Number of targets n."""
         return int(self.target.shape[1])
 
     @cached_property

@@ -95,6 +95,7 @@ class Task:
 
     @property
     def samples(self) -> int:
+        """The number m of samples."""
         return len(self.target)
 
     @property
