@@ -38,6 +38,7 @@ ROUNDS = 4  # departures that are freed one after another, at most
 CLEAR = 8.0  # times a first gain, to second order: what gained more already is what there is
 CALMER = 0.5  # of the gain of what wanders: a cause beside it explains as much at least
 TUNED = 3.0  # the factor between the rates that are tried of what wanders
+PASSES = 15  # of a search over all rows
 LAST = 60  # passes towards an answer that has not been at its maximum
 HINT = 0.1  # of a gain by chance, below which a cause that is not found widens the intervals
 FACTOR = 3.0  # by which a scale or a response time may be off
@@ -46,6 +47,10 @@ CHANCE = 2.0  # of log-likelihood, that a level may gain where it is none
 COLOURED = 1e-3  # the p-value of innovations that are not white
 TWO_WAVES = ("axis", "square", "rectangle", "pair")  # shapes, each freer than those before
 SCANNED = (0.03, 0.1, 0.3, 1.0)  # shares of a level at which a process is first looked for
+
+
+Refit = Callable[[Sequence[Model], Posterior], Posterior | None]
+"""The posterior of models near another one; None where it is of no use, or of another flow."""
 
 
 @dataclass(frozen=True)
@@ -122,10 +127,14 @@ def diagnose(
     first, start, tests, gains = posterior, None, 1, dict[tuple[str, int], Gain]()
     rivals: list[tuple[Posterior, Posterior]] = []
 
+    def refit(models: Sequence[Model], near: Posterior, passes: int = PASSES) -> Posterior | None:
+        there = fitted(logs, models, near, passes)
+        return there if there is not None and usable(there) and inside(there) else None
+
     def score(trial: Trial) -> tuple[float, Trial, Posterior | None]:
         """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
-        there = fitted(logs, trial.models, start)
-        if there is None or not usable(there) or not (inside(there) and plausible(there, first)):
+        there = refit(trial.models, posterior)
+        if there is None or not plausible(there, first):
             return -math.inf, trial, None
         return there.log_likelihood - 2.0 * trial.freedom, trial, there
 
@@ -176,7 +185,7 @@ def diagnose(
         if not chance < FALSE_ALARM:
             break
         if best.cause is not None and best.cause.wanders:
-            there = _tuned(logs, there, best.free, inside)
+            there = _tuned(refit, there, best.free)
             wandering += gain_of_it
         if best.suspicious:
             assert best.cause is not None
@@ -185,15 +194,18 @@ def diagnose(
                 Suspect(best.cause.name, size, chance, gain_of_it, best.free, best.flight)
             )
             others = [own for _, trial, own in scored if trial.suspicious and trial is not best]
-            rivals += [(there, own) for own in others if own is not None and usable(own)]
+            rivals += [(there, own) for own in others if own is not None]
         closed.add(best.free)
         posterior = there
         believed = believed if suspects else there
-    posterior, suspects = _significant(logs, first, posterior, suspects, tests)
+    posterior, suspects = _significant(refit, first, posterior, suspects, tests)
     if posterior is not first:
-        posterior = _simplest(logs, posterior, inside)
-    posterior = _settled(logs, posterior)
-    believed = _settled(logs, believed) if suspects else posterior
+        posterior = _simplest(refit, posterior)
+    answers = [posterior, believed] if suspects else [posterior]
+    for place, own in enumerate(answers):  # intervals are those at the maximum
+        if not own.converged and usable(own):
+            answers[place] = refit(own.models, own, LAST) or own
+    posterior, believed = answers[0], answers[-1]
     growth = posterior.value("growth"), posterior.error("growth")
     if "growth" not in posterior.names:
         grown: dict[str, tuple[str, ...]] = {"growth": ("growth",)}
@@ -247,13 +259,16 @@ def _ambiguity(
 
 def _scanned(start: Posterior, process: Process) -> float:
     """The gain of a process at the best of some levels, all but the parameters as it is."""
-    values = []
-    for share in SCANNED:
-        models = with_process(start.models, replace(process, level=share * process.level))
-        pairs = zip(start.legs, models, strict=True)
-        legs = tuple(leg.with_model(model) for leg, model in pairs)
-        values.append(Rung.of(legs, 0.0, process.name).value)
-    return 2.0 * (float(np.nanmax(values)) - start.log_likelihood)
+    levels = [replace(process, level=share * process.level) for share in SCANNED]
+    values = [_passed(start, with_process(start.models, own), process.name) for own in levels]
+    return 2.0 * (max(values) - start.log_likelihood)
+
+
+def _passed(start: Posterior, models: Sequence[Model], name: str) -> float:
+    """The log-likelihood of models with a process, by one pass along the tracks of a posterior."""
+    pairs = zip(start.legs, models, strict=True)
+    value = Rung.of(tuple(leg.with_model(model) for leg, model in pairs), 0.0, name).value
+    return value if math.isfinite(value) else -math.inf
 
 
 def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: Gain) -> Trial:
@@ -268,40 +283,35 @@ def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: 
 
 
 def _significant(
-    logs: Sequence[FlightLog], first: Posterior, posterior: Posterior, suspects: list[Suspect],
-    tests: int,
-) -> tuple[Posterior, list[Suspect]]:  # fmt: skip
+    refit: Refit, first: Posterior, posterior: Posterior, suspects: list[Suspect], tests: int
+) -> tuple[Posterior, list[Suspect]]:
     """The posterior without causes that others have made needless, the largest first."""
     significant = {}
     for suspect in suspects[:-1]:  # the last one was tested beside all others
         cause = FREEDOMS.get(suspect.free)
         if cause is None or cause.wanders:
             continue
-        elements = cause.elements
-        places = [j for j, name in enumerate(posterior.names) if name.split("@")[0] in elements]
-        away = np.array([
-            posterior.models[int(flight or 1) - 1].values[name]
-            - first.models[int(flight or 1) - 1].values[name]
-            for name, _, flight in (posterior.names[j].partition("@") for j in places)
-        ])  # fmt: skip
+        elements, places, away = cause.elements, [], []
+        for place, (name, _, flight) in enumerate(own.partition("@") for own in posterior.names):
+            if name in elements:
+                here, there = (own.models[int(flight or 1) - 1] for own in (first, posterior))
+                places.append(place)
+                away.append(there.values[name] - here.values[name])
         spread = inverted(posterior.information)[0][np.ix_(places, places)]
-        wald = float(away @ np.linalg.lstsq(spread, away, rcond=1e-12)[0])
+        wald = float(np.dot(away, np.linalg.lstsq(spread, np.array(away), rcond=1e-12)[0]))
         significant[suspect.free] = wald
         if tests * chance_of(wald, len(places)) < FALSE_ALARM:
             continue
         values = {name: first.value(name) for name in elements}
         models = [model.known(*elements).at(values) for model in posterior.models]
-        there = fitted(logs, models, posterior)
-        if there is not None and usable(there):
+        if (without := refit(models, posterior)) is not None:
             remaining = [own for own in suspects if own is not suspect]
-            return _significant(logs, first, there, remaining, tests)
+            return _significant(refit, first, without, remaining, tests)
     suspects.sort(key=lambda own: -significant.get(own.free, own.share))
     return posterior, suspects
 
 
-def _simplest(
-    logs: Sequence[FlightLog], posterior: Posterior, inside: Callable[[Posterior], bool]
-) -> Posterior:
+def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
     """The posterior of the first simpler shape of two waves that has a lower BIC, if one has."""
     pattern, cells = posterior.model.pattern, TWO_WAVES
     simpler = cells[: cells.index(pattern.shape) + 1] if pattern.shape in cells else ()
@@ -309,18 +319,10 @@ def _simplest(
         simple = pattern.reshaped(name, drifting)
         if len(pattern.waves) == 2 and len(simple.values) < len(pattern.values):
             models = [replace(model, pattern=simple) for model in posterior.models]
-            there = fitted(logs, models, posterior)
-            if there and usable(there) and inside(there) and there.bic < posterior.bic:
+            there = refit(models, posterior)
+            if there is not None and there.bic < posterior.bic:
                 return there
     return posterior
-
-
-def _settled(logs: Sequence[FlightLog], posterior: Posterior) -> Posterior:
-    """The posterior at its maximum, where it was left before: what is answered has intervals."""
-    if posterior.converged or not usable(posterior):
-        return posterior
-    there = fitted(logs, posterior.models, posterior, LAST)
-    return there if there is not None and usable(there) else posterior
 
 
 def _another_law(posterior: Posterior) -> list[Suspect]:
@@ -346,9 +348,7 @@ def _another_law(posterior: Posterior) -> list[Suspect]:
     return sorted(laws, key=lambda own: -own.share)
 
 
-def _tuned(
-    logs: Sequence[FlightLog], posterior: Posterior, name: str, inside: Callable[[Posterior], bool]
-) -> Posterior:
+def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
     """The posterior with the rate of a process, by steps of a factor, that is most likely."""
 
     def at(factor: float) -> list[Model]:
@@ -361,18 +361,10 @@ def _tuned(
             for model in posterior.models
         ]  # fmt: skip
 
-    def scanned(factor: float) -> float:
-        """The log-likelihood at another rate, by one pass."""
-        pairs = zip(posterior.legs, at(factor), strict=True)
-        value = Rung.of(tuple(leg.with_model(model) for leg, model in pairs), 0.0, name).value
-        return value if math.isfinite(value) else -math.inf
-
-    factor = max((TUNED, 1.0 / TUNED), key=scanned)
+    factor = max((TUNED, 1.0 / TUNED), key=lambda own: _passed(posterior, at(own), name))
     for _ in range(3):
-        there = fitted(logs, at(factor), posterior)
-        if there is None or not usable(there) or not inside(there):
-            break
-        if there.log_likelihood < posterior.log_likelihood + 0.5:
+        there = refit(at(factor), posterior)
+        if there is None or there.log_likelihood < posterior.log_likelihood + 0.5:
             break
         posterior = there
     return posterior
@@ -382,7 +374,7 @@ def fitted(
     logs: Sequence[FlightLog],
     models: Iterable[Model],
     start: Posterior | None = None,
-    passes: int = 15,
+    passes: int = PASSES,
 ) -> Posterior | None:
     """The posterior of models of logs, all their levels estimated.
 
