@@ -177,7 +177,7 @@ def doubts_of_flow(
         yield unidentifiable(
             Doubt.RIVAL,
             f"cannot tell a flow of {best.mean_velocity:.3g} m/s and {best.length_scale:.3g} m "
-            f"from {rival.mean_velocity:.3g} m/s and {rival.length_scale:.3g} m (shape "
+            f"from {rival.cells.mean_velocity:.3g} m/s and {rival.cells.length_scale:.3g} m (shape "
             f"{rival.shape!r}): the flight covers {prepared.search.extent:.3g} m, or too "
             "straight a line; fly longer, across more cells, or turn",
         )

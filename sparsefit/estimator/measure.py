@@ -140,7 +140,7 @@ class Measured:
             for name in ("mean_velocity", "length_scale", "timescale", "uncertainty")
         }
         parts |= {"grid_length_scale": first.grid_length_scale} if several else {}
-        parts |= {"rival_length_scale": self.rival.length_scale} if self.rival else {}
+        parts |= {"rival_length_scale": self.rival.cells.length_scale} if self.rival else {}
         parts |= {
             "scales": tuple(scales) if several or len(scales) > 1 else (),
             "shape": pattern.shape,

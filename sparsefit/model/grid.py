@@ -70,11 +70,9 @@ class LengthScaleGrid:
 
     def __post_init__(self) -> None:
         one_of("spacing", self.spacing, get_args(Spacing))
-        for name in ("lower", "upper", "step"):
-            if name != "step" or self.step is not None:
-                positive(f"grid: {name}", getattr(self, name), "m")
-        if self.count is not None:
-            integer("grid: count", self.count, 1)
+        for name in ("lower", "upper", *["step"] * (self.step is not None)):
+            positive(f"grid: {name}", getattr(self, name), "m")
+        integer("grid: count", 1 if self.count is None else self.count, 1)
         problem = ""
         if self.upper < self.lower:
             problem = f"upper ({self.upper:g} m) is below lower ({self.lower:g} m); swap them"
@@ -90,8 +88,7 @@ class LengthScaleGrid:
             problem = "spacing 'flight' takes fraction, not step or count"
         elif self.spacing != "flight" and self.size > MOST:
             problem = (
-                f"{self.size} length scales are more than the {MOST} that can be held; use a "
-                "larger step or a narrower range"
+                f"{self.size} scales are more than the {MOST} that can be held; use a larger step"
             )
         if problem:
             raise InputError(f"grid: {problem}")
@@ -99,9 +96,8 @@ class LengthScaleGrid:
     def resolving(self, extent: float) -> LengthScaleGrid:
         """This grid for a flight of that extent [m]: itself, or with spacing ``flight`` its own.
 
-        The residual as a function of k has lobes of width 2 pi / extent; steps of a quarter of it,
-        the default fraction, put a candidate in every lobe. Finer at small L than a grid uniform in
-        L, and coarser at large L.
+        The residual as a function of k has lobes of width 2 pi / extent: the default fraction of
+        it puts four candidates in every lobe.
         """
         if self.spacing != "flight":
             return self
@@ -154,10 +150,10 @@ def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArr
         waves = np.maximum(np.ceil(math.pi * sizes / apart * (1 - 1e-12)), 2).astype(int)
         about = float(waves.sum())
     if about > MOST:
+        words = f"raise the grid's lower bound to about {lower * math.sqrt(about / MOST):.2g} m"
         raise InputError(
             f"a flight of {extent:.3g} m resolves {about:.0f} waves down to {lower:g} m, more than "
-            f"the {MOST} that can be held: raise the grid's lower bound to about "
-            f"{lower * math.sqrt(about / MOST):.2g} m, or use a piece of the flight"
+            f"{MOST}: {words}, or use a piece of the flight"
         )
     ring = np.repeat(np.arange(count), waves)
     place = np.arange(len(ring)) - np.repeat(np.cumsum(waves) - waves, waves)
@@ -182,11 +178,7 @@ def sines_and_cosines(phase: Array) -> tuple[Array, Array]:
 
 
 def candidate_columns(position: Array, scales: Array) -> Array:
-    """Theta (m, 8 g) of Eq. 19, group-major, of length scales (g,) at positions (m, 2) [m].
-
-    Raises InputError where it would not fit in memory.
-    """
-    _check_size(len(position), len(scales) * len(CANDIDATES))
+    """Theta (m, 8 g) of Eq. 19, group-major, of length scales (g,) at positions (m, 2) [m]."""
     theta = np.empty((len(position), len(scales), len(CANDIDATES)))
     for start in range(0, len(theta), BUILD_ROWS):
         block, out = position[start : start + BUILD_ROWS], theta[start : start + BUILD_ROWS]
@@ -199,11 +191,7 @@ def candidate_columns(position: Array, scales: Array) -> Array:
 
 
 def wave_columns(position: Array, wavevectors: Array) -> Array:
-    """Theta (2 m, 2 w) of steady waves k (w, 2) [rad/m] at positions (m, 2) [m], x before y.
-
-    Raises InputError where it would not fit in memory.
-    """
-    _check_size(2 * len(position), 2 * len(wavevectors))
+    """Theta (2 m, 2 w) of steady waves k (w, 2) [rad/m] at positions (m, 2) [m], x before y."""
     theta = np.empty((len(position), 2, len(wavevectors), 2))
     across = wavevectors.T[::-1, :, None] * np.array([1.0, -1.0])[:, None, None]  # (k_y, -k_x)
     for start in range(0, len(position), BUILD_ROWS):
@@ -211,11 +199,3 @@ def wave_columns(position: Array, wavevectors: Array) -> Array:
         sine, cosine = sines_and_cosines(block @ wavevectors.T)
         theta[start : start + BUILD_ROWS] = across * np.stack([-sine, cosine], axis=2)[:, None]
     return theta.reshape(2 * len(position), -1)
-
-
-def _check_size(rows: int, columns: int) -> None:
-    if (size := 8 * rows * columns) > 8 * 2**30:
-        raise InputError(
-            f"a library of {rows} rows and {columns} columns needs {size / 2**30:.1f} GiB; use "
-            "fewer waves, scales or samples"
-        )

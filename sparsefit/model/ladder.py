@@ -21,7 +21,6 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.flight.waves import WaveFlow
 from sparsefit.model.library import Pair, read_vehicles
 from sparsefit.model.scan import WaveScan
 from sparsefit.model.search import EXACT, Search, spectrum
@@ -32,6 +31,7 @@ from sparsefit.model.shapes import (
     SQUARE,
     Shape,
     ShapeFit,
+    WaveCells,
     axis_cells,
     descended,
     fitted,
@@ -69,27 +69,15 @@ class Proposal:
     vehicles: tuple[PointMassVehicle, ...]  # of each flight, with its unknowns as the rows say
     background: Pair = (0.0, 0.0)  # the steady uniform velocity beside the flow [m/s]
 
-    @property
-    def flow(self) -> WaveFlow:
-        """The flow that is proposed."""
-        frequencies = None if self.velocity is None else self.wavevectors @ self.velocity
-        return WaveFlow(self.wavevectors, self.cosine, self.sine, frequencies)
-
     def lobe(self, extent: float) -> tuple[str, bytes]:
         """A key that proposals share whose phases differ by some 1e-6 over an extent [m]."""
         phases = np.append(self.wavevectors * extent, self.velocity or ())
         return self.shape, (np.round(phases, 6) + 0.0).tobytes()
 
     @property
-    def mean_velocity(self) -> float:
-        """U0 [m/s]."""
-        return self.flow.mean_velocity
-
-    @property
-    def length_scale(self) -> float:
-        """L [m] of its two strongest waves."""
-        amplitudes = np.column_stack([self.cosine, self.sine])
-        return read_cells(self.wavevectors, amplitudes).length_scale
+    def cells(self) -> WaveCells:
+        """U0 and L of the cells that it is."""
+        return read_cells(self.wavevectors, np.column_stack([self.cosine, self.sine]))
 
 
 class Ladder:
@@ -108,9 +96,8 @@ class Ladder:
     @property
     def done(self) -> bool:
         """Whether what is left is noise, or the gusts or the vehicle that leave less than 5 %."""
-        return bool(self.tried) and (
-            self.best.residual <= 0.05 * self.rows.square or self.search.quiet(self.best.rest)
-        )
+        here = self.best
+        return here.residual <= 0.05 * self.rows.square or self.search.quiet(here.rest)
 
     def descend(self, shape: Shape, q: Array) -> ShapeFit | None:
         """The fit of a shape from q (p,); None where its kind has better ones or it is no flow."""
@@ -142,9 +129,9 @@ class Ladder:
         if len(proposed) and not self.done:
             self.join(proposed)
             self.around()
-        speed = math.sqrt(2 * float(np.mean(np.sum(self.rows.rest**2, axis=1))))
-        moving = partial(self.squares, 0.6 * speed)
-        for look in (partial(self.squares, 0.0), moving, self.pairs, self.several):
+        fastest = 0.6 * math.sqrt(2 * float(np.mean(np.sum(self.rows.rest**2, axis=1))))
+        moving = partial(self.squares, fastest)
+        for look in (self.squares, moving, self.pairs, self.several):
             if self.done:
                 break
             look()
@@ -174,25 +161,25 @@ class Ladder:
             if self.search.bic(here) - self.search.bic(self.best) < 0.1:
                 return
 
-    def squares(self, fastest: float) -> None:
+    def squares(self, fastest: float = 0.0) -> None:
         """Square cells from the plane, from pieces of the track to the whole.
 
         Their waves are k and its clockwise turn (k_y, -k_x); they move at up to fastest [m/s].
         """
-        rows, radii = self.rows, self.search.radii
-        scan = WaveScan.of(rows, radii, fastest) if fastest else self.search.scan
-        shape = SQUARE.moving if fastest else SQUARE
+        rows, scan, shape = self.rows, self.search.scan, SQUARE
+        if fastest:
+            scan, shape = WaveScan.of(rows, self.search.radii, fastest), SQUARE.moving
         if scan is None:
             return
-        gains, omega = scan.gains(self.rows.rest)
+        gains, omega = scan.gains(rows.rest)
         fits = []
         for i, j in scan.squares(gains, 20):
             x, y = scan.axis[[i, j]]
             waves = np.array([[x, y, omega[i, j]], [y, -x, omega[j, len(omega) - 1 - i]]])
-            fits.append(fitted(self.rows, shape, shape.nearest(waves), scan.pieces))
+            fits.append(fitted(rows, shape, shape.nearest(waves), scan.pieces))
         fits.sort(key=lambda fit: fit.residual)
         for fit in fits[: 4 if scan.pieces == 1 else 2]:
-            self.descend(shape, joined(self.rows, shape, fit.q, scan.pieces))
+            self.descend(shape, joined(rows, shape, fit.q, scan.pieces))
             if self.done:
                 break
 
@@ -286,25 +273,23 @@ class Ladder:
         Where more than noise is left rows count for less: as many as white errors of the highest
         power in the residual's spectrum would be. Fits of one shape in one lobe are one.
         """
-        if not self.tried:
-            return []
         worth, rest, near = self.search.worth, self.best.rest, 0.3 * self.rows.reach()
         if not self.search.quiet(rest):
             power = np.cumsum(np.concatenate([[0.0], spectrum(rest)]))
             bins = min(16, len(power) - 1)  # averaged: the level is then known to 18 %
             highest = float((power[bins:] - power[:-bins]).max()) / bins
             worth = min(worth, 2 * len(rest) * float(power[-1] / (len(power) - 1)) / highest)
-        fits = sorted(self.tried, key=lambda fit: self.search.bic(fit, worth))
-        least = self.search.bic(fits[0], worth)
+        fits = [(fit, self.search.bic(fit, worth)) for fit in self.tried]
+        fits.sort(key=lambda pair: pair[1])
         ranked: list[tuple[ShapeFit, float]] = []
-        for fit in fits:
-            bic, alike = self.search.bic(fit, worth), False
+        for fit, bic in fits:
             others = [other for other, _ in ranked if other.shape == fit.shape]
+            alike = False
             for other in others:  # all waves near those of another, of either sign
                 signed = np.array([-1.0, 1.0])[:, None, None, None] * other.phases
                 close = (np.abs(fit.phases[:, None] - signed) < near).all(axis=3)
                 alike |= bool(np.any(close, axis=(0, 2)).all())
-            rival = bic - least <= CLOSE or not others
+            rival = bic - fits[0][1] <= CLOSE or not others
             if rival and not alike and (not ranked or len(fit.phases) >= 2):
                 ranked.append((fit, bic))
         return ranked[:10]
@@ -324,15 +309,16 @@ def propose(search: Search, start: Start) -> tuple[Proposal, ...]:
         elif start.waves:
             ladder.tried.clear()
             ladder.join(np.array(start.waves))
+    if not ladder.tried:
+        return ()
     proposals = []
     for fit, bic in ladder.ranked():
         vehicles, uniform, ratio = read_vehicles(search.unknowns, fit.coefficients)
         shift = fit.phases * (1.0, 1.0, -1.0) @ search.origin  # to the flight's own coordinates
-        a, b = fit.weights.reshape(-1, 2).T
-        cosine = (a * np.cos(shift) - b * np.sin(shift)) / ratio
-        sine = (a * np.sin(shift) + b * np.cos(shift)) / ratio
+        a = fit.weights[::2] - 1j * fit.weights[1::2]
+        a = a * np.exp(-1j * shift) / ratio
         velocity = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else None
-        name, k, share = fit.shape.name, fit.phases[:, :2], fit.residual / search.rows.square
-        own = (cosine, sine, velocity, share, bic, vehicles, uniform)
-        proposals.append(Proposal(name, k, *own))
+        waves = fit.phases[:, :2], a.real, -a.imag, velocity
+        share = fit.residual / search.rows.square
+        proposals.append(Proposal(fit.shape.name, *waves, share, bic, vehicles, uniform))
     return tuple(proposals)

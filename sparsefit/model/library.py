@@ -15,8 +15,7 @@ linear in a coefficient of v and a constant per component. Of a measured thrust 
 by s, believed to be s_0, one column more: tau_0 (s - s_0) m. Where drag is quadratic only, Phi_0 =
 v + r_0 with c_0 |r_0| r_0 = v' - a, and w = v + r_0 sqrt(c_0/c): linear in v with sqrt(c/c_0) in
 the place of tau_0/tau. These columns N join the regression without a penalty: minimising over them
-first leaves a problem in (I - P_N) C and (I - P_N) Phi_0 (Frisch and Waugh, 1933; Lovell, 1963),
-exactly, for every back-end.
+first leaves a problem in (I - P_N) C and (I - P_N) Phi_0 (Frisch and Waugh, 1933; Lovell, 1963).
 """
 
 from __future__ import annotations
@@ -70,20 +69,16 @@ class UnknownColumns:
     believed: PointMassVehicle
 
     def __post_init__(self) -> None:
-        quadratic = math.isinf(self.believed.response_time)
-        possible = {"drag", "wind"} if quadratic else {"wind"}
-        if not self.believed.drag:
-            possible = set(UNKNOWNS) - {"drag"}
-        for name in self.unknown:
-            if name not in possible:
-                law = "without quadratic drag"
-                if self.believed.drag:
-                    law = f"with {'' if quadratic else 'linear and '}quadratic drag"
-                raise InputError(
-                    f"unknown {name!r} cannot be sought of a vehicle {law}, whose rows are linear "
-                    f"in {' and '.join(sorted(possible))} alone: leave it out, or give another "
-                    "vehicle to start from"
-                )
+        law, possible = "without quadratic drag", set(UNKNOWNS) - {"drag"}
+        if math.isinf(self.believed.response_time):
+            law, possible = "with quadratic drag", {"drag", "wind"}
+        elif self.believed.drag:
+            law, possible = "with linear and quadratic drag", {"wind"}
+        for name in sorted(set(self.unknown) - possible):
+            raise InputError(
+                f"unknown {name!r} cannot be sought of a vehicle {law}, whose rows are linear in "
+                f"{' and '.join(sorted(possible))} alone: leave it out, or give another vehicle"
+            )
 
     @property
     def scaled(self) -> bool:
@@ -98,10 +93,8 @@ class UnknownColumns:
         columns = [source.velocity] if self.scaled else []
         if "thrust_scale" in self.unknown:
             if source.push is None:
-                raise InputError(
-                    "unknown 'thrust_scale' needs a measured thrust: the flight has none (columns "
-                    "ax, ay of its file)"
-                )
+                words = "needs a measured thrust: the flight has none (columns ax, ay of its file)"
+                raise InputError(f"unknown 'thrust_scale' {words}")
             columns.append(source.push)
         if {"thrust_acceleration", "wind"} & set(self.unknown):
             columns += [np.broadcast_to(unit, source.velocity.shape) for unit in np.eye(2)]
@@ -117,14 +110,12 @@ class UnknownColumns:
         so each has coefficients of its own, of v_x and of v_y.
         """
         columns = self.columns(source)
-        if shared:
-            columns = columns.reshape(2 * len(columns), -1)
-        else:
+        rows = columns.reshape(2 * len(columns), -1)
+        if not shared:
             moving = columns[:, :, : self.scaled + ("thrust_scale" in self.unknown)]
             constant = np.ones((len(columns), int(columns.shape[2] > moving.shape[2])))
-            series = moving.swapaxes(1, 2).reshape(len(columns), -1)
-            columns = np.hstack([series, constant])
-        vectors, roots, _ = np.linalg.svd(columns, full_matrices=False)
+            rows = np.hstack([*moving.transpose(2, 0, 1), constant])
+        vectors, roots, _ = np.linalg.svd(rows, full_matrices=False)
         basis: Array = vectors[:, roots > 1e-10 * roots.max(initial=0.0)]
         return basis
 
@@ -134,20 +125,20 @@ class UnknownColumns:
         The ratio, by which Phi of the believed vehicle is larger, is sqrt(c/c_0) where drag is
         quadratic; NaN, beside the believed vehicle, where coefficients say what cannot be.
         """
-        vehicle = self.believed
+        vehicle, tau = self.believed, self.believed.response_time
         ratio = 1.0 - float(coefficients[0]) if self.scaled else 1.0
         if not ratio > 0 or not np.isfinite(coefficients).all():
             return vehicle, (0.0, 0.0), math.nan
         changes: dict[str, Any] = {}
         x, y = coefficients[-2:].tolist() if len(coefficients) > 1 else (0.0, 0.0)
         if "thrust_scale" in self.unknown:
-            push = float(coefficients[int(self.scaled)]) / vehicle.response_time
+            push = float(coefficients[int(self.scaled)]) / tau
             changes["thrust_scale"] = vehicle.thrust_scale + push
         if "thrust_acceleration" in self.unknown:
-            given, tau = vehicle.thrust_acceleration, vehicle.response_time
+            given = vehicle.thrust_acceleration
             changes["thrust_acceleration"] = given[0] + x / tau, given[1] + y / tau
         if "response_time" in self.unknown:
-            changes["response_time"] = vehicle.response_time / ratio
+            changes["response_time"] = tau / ratio
         if "drag" in self.unknown:
             changes["drag"] = vehicle.drag * ratio**2
         wind = (x / ratio, y / ratio) if "wind" in self.unknown else (0.0, 0.0)
@@ -184,10 +175,8 @@ def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array
     squares = np.einsum("ij,ij->j", theta, theta)
     theta = theta - basis @ (basis.T @ theta)
     if (np.einsum("ij,ij->j", theta, theta) <= 1e-18 * squares).any():  # what is left is rounding
-        raise InputError(
-            "a candidate is a combination of the velocity and a constant: the flight is too "
-            "straight to tell what is unknown; turn, or give the vehicle"
-        )
+        words = "the flight is too straight to tell what is unknown; turn, or give the vehicle"
+        raise InputError(f"a candidate is a combination of the velocity and a constant: {words}")
     return theta, target - basis @ (basis.T @ target)
 
 
@@ -218,33 +207,21 @@ class Library:
         one_of("target", self.target, TARGET_NAMES)
         one_of("family of the library", self.family, get_args(FamilyName))
         one_of("groups of the library", self.groups, get_args(WaveGroups))
-        if self.family == "waves" and self.target != "flow-velocity":
-            raise InputError(
-                "family 'waves' is of a stream function, which gives the flow velocity: "
-                f"target {self.target!r} needs family 'cells'"
-            )
-        if self.family == "cells" and self.groups != "wave":
-            raise InputError(
-                "library: 'groups' is a setting of family 'waves', not of 'cells'; leave it out"
-            )
         integer("library: every", self.every, 1)
-        if isinstance(self.unknown, str) or not isinstance(self.unknown, Sequence):
-            raise InputError(
-                f"unknown must be a list of names such as ('response_time',); got {self.unknown!r}"
-            )
         for name in self.unknown:
             one_of("parameter of the vehicle", name, UNKNOWNS)
         unknown = tuple(name for name in UNKNOWNS if name in self.unknown)
-        if {"thrust_acceleration", "wind"} <= set(unknown):
-            raise InputError(
-                "thrust_acceleration and wind cannot both be unknown: a flight only tells "
-                "a + wind/tau; give one of them"
-            )
-        if unknown and self.target != "flow-velocity":
-            raise InputError(
-                f"unknown {unknown[0]!r} needs the target 'flow-velocity', not {self.target!r}; "
-                "leave one out"
-            )
+        problem, other = "", self.target != "flow-velocity"
+        if self.family == "waves" and other:
+            problem = f"target {self.target!r} needs family 'cells': waves give the flow velocity"
+        elif self.family == "cells" and self.groups != "wave":
+            problem = "'groups' is a setting of family 'waves', not of 'cells'; leave it out"
+        elif {"thrust_acceleration", "wind"} <= set(unknown):
+            problem = "thrust_acceleration and wind cannot both be unknown; give one of them"
+        elif unknown and other:
+            problem = f"unknown {unknown[0]!r} needs the target 'flow-velocity'"
+        if problem:
+            raise InputError(f"library: {problem}")
         object.__setattr__(self, "unknown", unknown)
 
     @property
@@ -266,7 +243,7 @@ class Library:
             scales = self.grid.resolving(extent).scales
             return {
                 "names": tuple(
-                    f"{name} (L = {scale:g} m)" for scale in scales.tolist() for name in CANDIDATES
+                    f"{own} (L = {s:g} m)" for s in scales.tolist() for own in CANDIDATES
                 ),
                 "groups": np.repeat(np.arange(len(scales)), len(CANDIDATES)),
                 "group_scales": scales,
@@ -304,15 +281,12 @@ class Library:
                     "are zero: no length scale can be told; leave that line"
                 )
         if self.every > 1 and any(samples.averages for samples in flights):
-            raise InputError(
-                "library: 'every' thins samples, but the weak form has averages of its own; leave "
-                "it out, or use a larger window"
-            )
+            words = "'every' thins samples, but the weak form has averages of its own; leave it out"
+            raise InputError(f"library: {words}")
         columns = self._columns(extent_of(position))
         size, per = len(columns["names"]), 1 if self.family == "cells" else 2
-        sources = [
-            (samples.averages or samples).rows(slice(None, None, self.every)) for samples in flights
-        ]
+        thin = slice(None, None, self.every)
+        sources = [(samples.averages or samples).rows(thin) for samples in flights]
         count = per * sum(len(source.time) for source in sources)
         large = 8 * per * len(position) * size > STREAM_BYTES and count > size + 4
 
@@ -328,12 +302,10 @@ class Library:
                 basis = UnknownColumns(self.unknown, vehicle).basis(source, shared=per == 2)
                 if large:
                     starts = range(0, len(source.time), BLOCK)
+                    ends = per * np.array(starts[1:], dtype=np.intp)
                     thetas = (theta_of(source.rows(slice(i, i + BLOCK))) for i in starts)
-                    rows = (slice(per * i, per * (i + BLOCK)) for i in starts)
-                    triangle, target = compressed(
-                        (np.hstack([basis[own], theta]), target[own])
-                        for own, theta in zip(rows, thetas, strict=True)
-                    )
+                    blocks = zip(np.split(basis, ends), thetas, np.split(target, ends), strict=True)
+                    triangle, target = compressed((np.hstack(own[:2]), own[2]) for own in blocks)
                     basis, theta = np.split(triangle, [basis.shape[1]], axis=1)
                 else:
                     theta = theta_of(source)

@@ -12,10 +12,8 @@ resolves less, and so needs fewer waves. There the Gram matrix is m/2.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -34,20 +32,17 @@ def fourier_sums(
     loads: Array | ComplexArray,
     *,
     times: int = 1,
-    centre: float = 0.0,
     most_single: int = 2_048,
 ) -> ComplexArray:
-    """Sums of loads times exp(i k.x) over rows, (..., 2 half + 1, ...), at all k of a grid.
+    """Sums of loads times exp(i k.x) over rows, (..., 2 half + 1, ...), at all k of a grid about 0.
 
     place: x of the rows (m, d), d of 1 to 3. step (d,), half: between wavenumbers along each axis,
-    and the number of steps from the middle to either side. loads: of the rows, (m,) or (j, m).
-    times: how many times k the sums are at. centre: of the grid, where d is 1; else 0. Up to
-    most_single steps sums are in single precision, where they round to 1e-4 of the rows.
+    and the number of steps to either side. loads: of the rows, (m,) or (j, m). times: how many
+    times k the sums are at. Up to most_single steps sums are in single precision, where they round
+    to 1e-4 of the rows.
     """
     import finufft
 
-    if centre:
-        loads = loads * np.exp(1j * times * centre * place.sum(axis=1))
     single = max(half) <= most_single
     real, both = (np.float32, np.complex64) if single else (np.float64, np.complex128)
     size = tuple(2 * n + 1 for n in half)
@@ -95,10 +90,7 @@ def peaks(values: Array, most: int | None = None) -> IntArray:
 
 
 def line_steps(extent: float, bounds: Bounds) -> int:
-    """The steps of a scan of square cells along the axes between bounds of k = pi/L [1/m].
-
-    The phase of a row turns by half a radian a step at most.
-    """
+    """The steps of a scan along a line between bounds of k = pi/L [1/m], half a radian each."""
     return max(8, math.ceil((bounds[1] - bounds[0]) * extent / 0.5))
 
 
@@ -108,18 +100,24 @@ def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Arra
     Their two waves k (1, 1) and k (1, -1) flow at right angles, so that their gains add up. rest:
     what is left of the rows (m, 2) [m/s], times their weight; bounds: of k [1/m].
     """
-    position = rows.place[:, :2]
+    position, centre = rows.place[:, :2], sum(bounds) / 2
     half = (line_steps(extent_of(position), bounds) + 1) // 2
     step = np.array([0.5 * (bounds[1] - bounds[0]) / half or 1.0])
     own, total = rows.weight, np.zeros(2 * half + 1)
     count = float(own @ own)
     moved = own[:, None] * (rest - np.outer(own, own @ rest / count))
     x, y = (position - middle(position)).T
-    for along, load in ((x + y, moved[:, 0] - moved[:, 1]), (x - y, moved[:, 0] + moved[:, 1])):
-        sums = partial(fourier_sums, along[:, None], step, (half,), centre=sum(bounds) / 2)
-        once, twice = (sums(own * own, times=times) / count for times in (1, 2))
-        total += gain(sums(math.sqrt(0.5) * load), once, twice, count)
-    return sum(bounds) / 2 + step * np.arange(-half, half + 1.0), total
+    for along, load in (
+        (x + y, moved[:, 0] - moved[:, 1]),
+        (x - y, moved[:, 0] + moved[:, 1]),
+    ):
+        sums, turn = (
+            partial(fourier_sums, along[:, None], step, (half,)),
+            np.exp(1j * centre * along),
+        )
+        once, twice = (sums(own * own * turn**n, times=n) / count for n in (1, 2))
+        total += gain(sums(math.sqrt(0.5) * load * turn), once, twice, count)
+    return centre + step * np.arange(-half, half + 1.0), total
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,35 +126,25 @@ class WaveScan:
 
     rows: FlowRows
     radii: Bounds  # the least and the largest |k| [rad/m]
-    fastest: float = 0.0  # velocity of waves [m/s]; 0: they stand
-    pieces: int = 1  # of the track, each with amplitudes of its own
-    _memory: dict[str, Any] = field(default_factory=dict)  # of the last rows, often asked for twice
+    fastest: float  # velocity of waves [m/s]; 0: they stand
+    pieces: int  # of the track, each with amplitudes of its own
+    steps: Array  # between wavenumbers [rad/m] and frequencies [rad/s]: half a lobe of a piece
+    halves: tuple[int, ...]  # steps to the sides of the grid, along k_x, k_y and omega
 
     @classmethod
     def of(cls, rows: FlowRows, radii: Bounds, fastest: float = 0.0) -> WaveScan | None:
         """The scan in the fewest pieces that take .1 s; None where these have too few rows."""
         pieces = FEWEST_PIECES if fastest else 1
         while True:
-            scan = cls(rows, radii, fastest, pieces)
+            steps = rows.reach(pieces)[: 3 if fastest else 2]
+            ends = np.array([radii[1], radii[1], radii[1] * fastest])[: len(steps)]
+            halves = tuple(np.ceil(ends / steps).astype(int).tolist())
             most = (300_000 if fastest else 500_000) * (1 if pieces == 1 else FEWEST_PIECES)
-            if math.prod(2 * half + 1 for half in scan.halves) * pieces <= most:
-                return scan
+            if math.prod(2 * half + 1 for half in halves) * pieces <= most:
+                return cls(rows, radii, fastest, pieces, steps, halves)
             pieces = max(FEWEST_PIECES, pieces + pieces // 4)
             if len(rows.place) < 12 * pieces:
                 return None
-
-    @cached_property
-    def steps(self) -> Array:
-        """Between wavenumbers [rad/m] and frequencies [rad/s]: half a lobe of a piece, (3,)."""
-        return self.rows.reach(self.pieces)
-
-    @property
-    def halves(self) -> tuple[int, ...]:
-        """Steps from the middle of the grid to its sides, along k_x, k_y and omega."""
-        half = math.ceil(self.radii[1] / self.steps[0])
-        if not self.fastest:
-            return half, half
-        return half, half, math.ceil(self.radii[1] * self.fastest / self.steps[2])
 
     @cached_property
     def axis(self) -> Array:
@@ -174,51 +162,43 @@ class WaveScan:
         low, high = self.radii
         return ((self.radius >= low) & (self.radius <= high)).astype(float)
 
+    @cached_property
+    def means(self) -> tuple[ComplexArray, ComplexArray]:
+        """The means of exp(i k.x) and of exp(2 i k.x) over the rows of a track in one piece."""
+        squares = self.rows.weight**2
+        node = self.rows.place[:, :2] - middle(self.rows.place[:, :2])
+        sums = partial(fourier_sums, node, self.steps, self.halves, squares / squares.sum())
+        return sums(), sums(times=2)
+
     def gains(self, rest: Array) -> tuple[Array, Array]:
         """The fall of RSS by one wave (n, n) of rows (m, 2) [m/s], and its omega (n, n) [rad/s]."""
-        memory, total, dimensions = self._memory, np.zeros(1), len(self.halves)
-        if memory.get("rest") is rest:
-            gains: tuple[Array, Array] = memory["gains"]
-            return gains
+        total, moving = np.zeros(1), len(self.halves) == 3
+        # (k_y, -k_x) . s_k / |k|: sums of u + i v at k and at -k, a half of each, turned
+        turn = (self.axis + 1j * self.axis[:, None]) / np.maximum(self.radius, 1e-300)
+        turn = turn.reshape(*turn.shape, *[1] * moving)
         parts = (self.rows.place, rest, self.rows.weight)
         cuts = (np.array_split(part, self.pieces) for part in parts)
         for place, errors, weight in zip(*cuts, strict=True):
-            nodes = (place - middle(place))[:, :dimensions] * (1.0, 1.0, -1.0)[:dimensions]
-            sums = partial(fourier_sums, nodes, self.steps[:dimensions], self.halves)
-            squares = weight**2
-            count = float(squares.sum())
+            nodes = ((place - middle(place)) * (1.0, 1.0, -1.0))[:, : len(self.halves)]
+            count = float(weight @ weight)
             constant = np.outer(weight, weight @ errors / count)
-            load = self._across(sums, weight[:, None] * (errors - constant))
-            if self.pieces == 1 and dimensions == 2:
-                if "means" not in memory:
-                    memory["means"] = sums(squares) / count, sums(squares, times=2) / count
-                once, twice = memory["means"]
-                total = gain(load, once, twice, count)
-            else:
+            u, v = (weight[:, None] * (errors - constant)).T
+            both = fourier_sums(nodes, self.steps, self.halves, u + 1j * v)
+            turned = (0.5 * turn).astype(both.dtype)
+            load = turned * both + np.conj(turned * np.flip(both))
+            if self.pieces > 1:
                 total = total + (2.0 / count) * (load.real**2 + load.imag**2)
+            else:
+                total = gain(load, *self.means, count)
         omega, best = np.zeros(1), np.zeros(total.shape[:2], dtype=np.intp)
-        if dimensions == 3:
+        if moving:
             half = self.halves[2]
             omega = self.steps[2] * np.arange(-half, half + 1.0)
             fastest = self.fastest * self.radius + self.steps[2]
             total = total * (np.abs(omega) <= fastest[..., None])
             best = total.argmax(axis=2)
             total = np.take_along_axis(total, best[..., None], axis=2)[..., 0]
-        memory |= {"rest": rest, "gains": (self.inside * total, omega[best])}
         return self.inside * total, omega[best]
-
-    def _across(self, sums: Callable[[ComplexArray], ComplexArray], errors: Array) -> ComplexArray:
-        """(k_y, -k_x)/|k| . sum exp(i k.x) Phi (n, n, ...) of errors Phi (m, 2), k = 0 at 0."""
-        both = sums(errors[:, 0] + 1j * errors[:, 1])
-        back = np.conj(np.flip(both))
-        k_y = self.axis.reshape(-1, *[1] * (both.ndim - 2)).astype(both.real.dtype)
-        k_x = k_y[:, None]
-        radius = np.hypot(k_x, k_y)
-        radius[radius == 0] = 1.0
-        # Sums of u are half of both + back, sums of v half of both - back over i.
-        of_u, of_v = 0.5 * k_y / radius, 0.5j * (k_x / radius)
-        load: ComplexArray = (of_u + of_v) * both + (of_u - of_v) * back
-        return load
 
     def waves(self, gains: Array, most: int) -> Array:
         """The wavevectors (p, 2) [rad/m] of the highest peaks of gains, one of k and -k."""

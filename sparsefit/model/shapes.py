@@ -18,6 +18,7 @@ pieces with amplitudes of their own, in which parameters are caught from farther
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass, field, replace
 
@@ -33,22 +34,17 @@ END = 1e-3  # of moves, in pi over the extent and over the duration: where a des
 
 @dataclass(frozen=True)
 class Shape:
-    """The wavevectors of a shape before it is turned, as coefficients of its wavenumbers."""
+    """A kind of flow: its waves k_x + i k_y before it is turned, as sums over its wavenumbers."""
 
     name: str
-    waves: tuple[tuple[tuple[float, ...], ...], ...]  # k_x, k_y of J waves by the l wavenumbers
+    waves: tuple[tuple[complex, ...], ...]  # the coefficients of l wavenumbers in J waves
     turned: bool = False  # by a heading, counter-clockwise
     drifting: bool = False  # at a velocity c
 
     @property
-    def wavenumbers(self) -> int:
-        """The number l of wavenumbers among the parameters."""
-        return len(self.waves[0][0]) if self.waves else 0
-
-    @property
     def parameters(self) -> int:
         """The number p of parameters."""
-        return self.wavenumbers + self.turned + 2 * self.drifting
+        return len((*self.waves, ())[0]) + self.turned + 2 * self.drifting
 
     @property
     def size(self) -> int:
@@ -67,18 +63,17 @@ class Shape:
 
     def phases(self, q: Array) -> tuple[Array, Array]:
         """(k_x, k_y, omega) of every wave (J, 3) at q (p,), and its derivatives by q (p, J, 3)."""
-        count = self.wavenumbers
-        by_q = np.zeros((self.parameters, len(self.waves), 3))
-        if not count:
-            return np.zeros((0, 3)), by_q
-        by_q[:count, :, :2] = np.array(self.waves).transpose(2, 0, 1)
+        phases, by_q = np.zeros((len(self.waves), 3)), np.zeros((len(q), len(self.waves), 3))
+        if not self.waves:
+            return phases, by_q
+        waves = np.array(self.waves)
+        count = waves.shape[1]
         if self.turned:
-            cos, sin = math.cos(q[count]), math.sin(q[count])
-            by_q[:count, :, :2] = by_q[:count, :, :2] @ np.array([[cos, sin], [-sin, cos]])
-        phases = np.zeros((len(self.waves), 3))
-        phases[:, :2] = np.tensordot(q[:count], by_q[:count, :, :2], axes=1)
-        if self.turned:
-            by_q[count, :, :2] = phases[:, [1, 0]] * (-1.0, 1.0)
+            waves = waves * cmath.exp(1j * q[count])
+        k = waves @ q[:count]
+        slopes = np.hstack([waves, 1j * k[:, None]])[:, : count + self.turned].T
+        phases[:, 0], phases[:, 1] = k.real, k.imag
+        by_q[: len(slopes), :, 0], by_q[: len(slopes), :, 1] = slopes.real, slopes.imag
         if self.drifting:
             phases[:, 2] = phases[:, :2] @ q[-2:]
             by_q[:, :, 2] = by_q[:, :, :2] @ q[-2:]
@@ -95,40 +90,36 @@ class Shape:
         moved = np.linalg.lstsq(k, phases[:, 2], rcond=None)[0] if self.drifting else np.zeros(0)
         if self.name not in ("axis", "square", "rectangle"):
             return np.concatenate([k.ravel(), moved])
-        first, second = k
-        if second[0] * first[1] < second[1] * first[0]:  # the first is counter-clockwise
+        first, second = (complex(x, y) for x, y in k)
+        if (first.conjugate() * second).imag > 0:  # the first is counter-clockwise
             first, second = second, first
         for _ in range(4):
-            heading = math.atan2(first[1] + second[1], first[0] + second[0])
+            heading = cmath.phase(first + second)
             if -math.pi / 4 < heading <= math.pi / 4:
                 break
             first, second = second, -first
-        k_x, k_y = (0.5 * math.hypot(*side) for side in (first + second, first - second))
-        sides = [k_x, k_y] if self.wavenumbers == 2 else [math.sqrt(k_x * k_y)]
+        k_x, k_y = 0.5 * abs(first + second), 0.5 * abs(first - second)
+        sides = [k_x, k_y] if len(self.waves[0]) == 2 else [math.sqrt(k_x * k_y)]
         return np.array([*sides, *([heading] if self.turned else []), *moved])
 
 
-AXIS = Shape("axis", (((1,), (1,)), ((1,), (-1,))))
+AXIS = Shape("axis", ((1 + 1j,), (1 - 1j,)))
 """Square cells along the axes: q = k = pi/L; the span of the 4 products of sines and cosines."""
 SQUARE = replace(AXIS, name="square", turned=True)
 """Square cells at any heading: q = (k, heading)."""
-RECTANGLE = Shape("rectangle", (((1, 0), (0, 1)), ((1, 0), (0, -1))), turned=True)
+RECTANGLE = Shape("rectangle", ((1, 1j), (1, -1j)), turned=True)
 """Rectangular cells at any heading: q = (k_x, k_y, heading), L_x = pi/k_x and L_y = pi/k_y."""
 
 
 def free_waves(count: int, *, drifting: bool = False) -> Shape:
     """Any waves, q = (k_x, k_y) of each: two are a ``pair``, others ``several``."""
-    unit = np.eye(2 * count).reshape(count, 2, 2 * count).tolist()
-    waves = tuple(tuple(map(tuple, wave)) for wave in unit)
+    waves = tuple(map(tuple, np.kron(np.eye(count), [1, 1j]).tolist()))
     return Shape("pair" if count == 2 else "several", waves, drifting=drifting)
 
 
 def axis_cells(count: int) -> Shape:
     """Square cells along the axes of several length scales, q = k = pi/L of each."""
-    unit = np.eye(count).tolist()
-    waves = tuple(
-        (tuple(row), tuple(sign * value for value in row)) for row in unit for sign in (1.0, -1.0)
-    )
+    waves = tuple(map(tuple, np.kron(np.eye(count), [[1 + 1j], [1 - 1j]]).tolist()))
     return Shape("axis" if count == 1 else "several", waves)
 
 
@@ -209,15 +200,16 @@ class FlowRows:
         target is `rest`.
         """
         if pieces not in self._cuts:
-            count = -(-len(self.target) // pieces)
-            filled = (0, pieces * count - len(self.target))
-            target = np.pad(self.target if pieces == 1 else self.rest, (filled, (0, 0)))
-            place = np.pad(self.place.T, ((0, 0), filled)).reshape(3, pieces, count)
-            self._cuts[pieces] = (
-                target.reshape(pieces, count, 2).swapaxes(1, 2).reshape(pieces, -1),
-                place * np.array([1.0, 1.0, -1.0])[:, None, None],
-                np.pad(self.weight, filled).reshape(pieces, 1, 1, count) * [[-1.0], [1.0]],
+            target = self.target if pieces == 1 else self.rest
+            rows = np.vstack([target.T, self.place.T, self.weight])
+            count = -(-len(target) // pieces)
+            rows = np.pad(rows, ((0, 0), (0, pieces * count - len(target))))
+            x, y, *place, weight = rows.reshape(6, pieces, count)
+            axes, signed = (
+                np.stack([*place[:2], -place[2]]),
+                weight[:, None, None] * [[-1.0], [1.0]],
             )
+            self._cuts[pieces] = np.hstack([x, y]), axes, signed
         return self._cuts[pieces]
 
     @cached_property
@@ -254,6 +246,7 @@ class ShapeFit:
     rest: Array  # E (m, 2) [m/s], what is left of the rows
     residual: float  # RSS [m^2/s^2]
     move: Array  # of Gauss and Newton (p,); 0 where RSS is flat to rounding
+    fall: float  # of RSS, that the move promises
 
     @cached_property
     def phases(self) -> Array:
@@ -303,7 +296,7 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
     basis = orthonormal(columns @ columns.mT)
     weights = (basis @ (basis.mT @ (columns @ target[..., None])))[..., 0]
     rest = target - (weights[:, None] @ columns)[:, 0]
-    move = np.zeros(len(q))
+    move, fall = np.zeros(len(q)), 0.0
     if len(q):
         amplitudes = weights[:, :count].reshape(pieces, -1, 2, 1)
         heights = np.sum(amplitudes * g, axis=2)  # (s, J, n)
@@ -314,10 +307,11 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
         curvature = np.sum(bent @ bent.mT, axis=0)
         inside = bent @ columns.mT @ basis
         steps = orthonormal(curvature - np.sum(inside @ inside.mT, axis=0), np.diagonal(curvature))
-        move = steps @ (steps.T @ np.sum(bent @ rest[..., None], axis=0)[:, 0])
+        along = steps.T @ np.sum(bent @ rest[..., None], axis=0)[:, 0]
+        move, fall = steps @ along, float(along @ along)
     whole = rest.reshape(pieces, 2, size).swapaxes(1, 2).reshape(-1, 2)[: len(rows.target)]
     residual = float(np.sum(whole**2))
-    return ShapeFit(shape, q, weights[0, :count], weights[0, count:], whole, residual, move)
+    return ShapeFit(shape, q, weights[0, :count], weights[0, count:], whole, residual, move, fall)
 
 
 def descended(
@@ -326,13 +320,12 @@ def descended(
     """The shape moved from q (p,) to the least RSS in reach.
 
     It ends where it would not come below ``goal``, RSS, even if all its moves gained as much as
-    the last three, where RSS falls by less than 1e-5, and after 25 moves. In pieces the whole goes
-    on from a twentieth of a lobe.
+    the next promises, where RSS falls by less than 1e-5, and after 25 moves. In pieces the whole
+    goes on from a twentieth of a lobe.
     """
     here, reach = fitted(rows, shape, q, pieces), rows.reach(pieces)
-    falls = [math.inf] * 3
     for remaining in range(25, 0, -1):
-        if here.residual - remaining * max(falls[-3:]) > goal:
+        if here.residual - remaining * here.fall > goal:
             return here
         moved = np.tensordot(here.move, shape.phases(here.q)[1], axes=1)
         longest = float(np.abs(moved / reach).max(initial=0.0))
@@ -346,9 +339,8 @@ def descended(
             move = 0.3 * move
         else:
             return here
-        falls.append(here.residual - there.residual)
-        here = there
-        if falls[-1] <= 1e-5 * here.residual:
+        here, fall = there, here.residual - there.residual
+        if fall <= 1e-5 * here.residual:
             return here
     return here
 
