@@ -325,11 +325,6 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
     if samples > MOST_SAMPLES:
         many = f"at this sample_rate is {samples:.3g} samples: keep it below {MOST_SAMPLES}"
         raise place.at("duration").error(many)
-    if not calm:  # at all extremes, before the first is flown
-        first, second = (rules[name].values for name in flow)
-        thirds = [third for a in first for b in second for third in (a * b, a / b)]
-        if not all(1e-150 < third < 1e150 for third in thirds):
-            raise place.error(f"{first[0]:g} and {second[0]:g} give no flow that can be flown")
     # A protocol without a flow cannot remove the keys of the others: they are left out here.
     dropped = {name for row in QUANTITIES.values() if row.of_flow and calm for name in row.streams}
     named = [name for name in STREAMS if name in rules and name not in dropped]
