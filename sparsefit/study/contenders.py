@@ -302,8 +302,6 @@ def _read_solvers(
         file = str(folder / keys.file) if keys.file else ""
         if keys.command:
             file = str(folder / "solver")  # a command is sought beside the study
-        elif file and not Path(file).is_file():
-            raise here.at("file").error(f'"{keys.file}": no such file beside the study')
         grid = crossing.read_grid(settings, here)
         for point in crossing.points_of(grid):
             varied = [f"{name}={shown(point[name])}" for name in grid if len(grid[name]) > 1]

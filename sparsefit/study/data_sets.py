@@ -34,6 +34,7 @@ from scipy.sparse import csc_array, issparse
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, one_of, optional
 from sparsefit.study.keys import MOST_VALUES, DataSet, Generator
+from sparsefit.whole_file import regular_file
 
 MOST_BYTES = 1 << 30  # of a file
 DATASETS: tuple[str, ...] = get_args(DataSet)
@@ -89,13 +90,9 @@ def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
     if path.suffix != ".npz":
         words = "np.savez(FILE, theta=theta, target=target) writes one"
         raise InputError(f"{path}: must be a file of kind .npz: {words}")
-    if not path.is_file():
-        cause = "is no regular file" if path.exists() else "no such file"
-        raise InputError(f"{path}: {cause}: it is sought beside the study file")
-    if path.stat().st_size > MOST_BYTES:
-        raise InputError(f"{path}: larger than {MOST_BYTES >> 20} MB: take fewer samples")
     shapes, numpy = dict[str, tuple[int, ...]](), np.lib.format
-    with _refused(path), zipfile.ZipFile(path) as archive:
+    whole = regular_file(path, most=MOST_BYTES)
+    with whole as file, _refused(path), zipfile.ZipFile(file) as archive:
         for member in archive.namelist():
             with archive.open(member) as stream:
                 first = numpy.read_magic(stream) == (1, 0)

@@ -44,8 +44,6 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
         words = "its solvers are timed by turns, in one run: there is nothing to merge"
         raise InputError(f"{plan.experiment.definition.name}: {words}")
     stored = {part: _rows_of(plan, part) for part in map(Path, parts)}
-    if folder.resolve() in {part.resolve() for part in stored}:
-        raise InputError(f"{folder}: merges into itself: give the other parts, or other --results")
     merged = []
     with locked(folder):
         rows = {row.key: (folder, row) for row in _whole(plan, folder)}

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from sparsefit.errors import InputError, SparsefitError, is_integer
+from sparsefit.errors import InputError, is_integer
 from sparsefit.study.manifest import write_manifest
 from sparsefit.study.plan import Plan
 from sparsefit.study.pool import outcomes
@@ -140,9 +140,6 @@ def run(
                         shown = spent
                         ahead = spent / computed * (total - computed)
                         tell(resumed + computed, resumed + total, ahead)
-            if computed < total:
-                words = f"{total - computed} cases ended without a row"
-                raise SparsefitError(f"{folder}: {words}: run the study again for these")
             seconds = time.monotonic() - begun
             made = {"resumed": resumed, "computed": computed, "seconds": seconds}
             summary = RunSummary.of(store, **made, processes=count)

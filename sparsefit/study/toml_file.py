@@ -35,8 +35,6 @@ def read_toml(path: str | Path) -> dict[str, object]:
         InputError: with the file and, where it is not TOML, the line; also of a file that is too
             large, nested too deeply or holds an integer beyond 300 digits.
     """
-    if not Path(path).exists():
-        raise InputError(f"{path}: no such file: check the name")
     try:
         text = read_whole(path, most=LARGEST).decode("utf-8")
     except UnicodeDecodeError:

@@ -202,7 +202,7 @@ def test_not_toml_not_text_not_there_not_a_file(tmp_path: Path) -> None:
     (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="UTF-8"):
         read_definition(tmp_path / "x.toml")
-    with pytest.raises(InputError, match="no such file"):
+    with pytest.raises(InputError, match="No such file"):
         read_definition(tmp_path / "y.toml")
     with pytest.raises(InputError, match=r"cannot read .*: it is a folder"):
         read_definition(tmp_path)

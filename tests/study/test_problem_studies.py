@@ -230,7 +230,7 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\ndataset = "digit"\n', 'did you mean "digits"?'),
         ('[[problems]]\ngenerator = "wide"\nsupport = 9999\n', "lie within the columns"),
         ('[[problems]]\ngenerator = "wyde"\n', 'did you mean "wide"?'),
-        ('[[problems]]\nfile = "no.npz"\n', "no such file"),
+        ('[[problems]]\nfile = "no.npz"\n', "No such file"),
         ('[[problems]]\nfile = "x.bin"\n', "must be a file of kind"),
         ('[[problems]]\ndataset = "iris"\nalter = "as it was"\n', 'did you mean "as it is"?'),
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
