@@ -67,8 +67,7 @@ class LogQuality:
 def gaps_of(time: Array) -> BoolArray:
     """Tell which steps (m - 1,) of times (m,) [s] are gaps: longer than `GAP` median ones."""
     steps = np.diff(time)
-    gaps: BoolArray = steps > GAP * np.median(steps)
-    return gaps
+    return np.asarray(steps > GAP * np.median(steps))
 
 
 def clock_rounding(time: Array) -> float:
@@ -99,10 +98,9 @@ def check_log(
     if longest_gap is not None:
         allowed = positive("longest_gap", longest_gap, "s")
     if (gap := float(steps[row])) > allowed:
-        words = f"{gap:.4g} s" if gap < 120.0 else f"{gap / 60.0:.4g} minutes"
         raise InputError(
-            f"a gap of {words} after t={flight.time[row]:.10g} s (row {row}): what flew there is "
-            f"not known; cut the log, or allow a longest gap of {math.ceil(gap)} s"
+            f"a gap of {gap:.4g} s after t={flight.time[row]:.10g} s (row {row}): cut it there, "
+            f"or allow a longest gap of {math.ceil(gap)} s"
         )
     # Who goes no farther in 5 s rests; shorter logs are only short.
     if not flight.extent or (flight.duration >= 5.0 and flight.extent < smallest):

@@ -23,8 +23,7 @@ _LONGEST = 1 << 16  # bytes of a line
 
 
 def encode(table: FlightTable) -> bytes:
-    """Return the file's content, in UTF-8; its numbers read back to the same floats."""
-    # The shortest digits that do are those of repr.
+    """Return the file's content, in UTF-8; numbers, by repr, read back to the same floats."""
     lines = [f"# {key}={text}" for key, text in table.texts().items()]
     lines.append(",".join(table.columns))
     rows = zip(*(column.tolist() for column in table.columns.values()), strict=True)

@@ -46,15 +46,13 @@ def read_flight(
         columns: of a table with other columns which of them are read, and their units:
             ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"``; without a unit that in the header
             holds. Longitude and latitude, degrees, become metres on a local plane about their
-            middle, x east and y north; times may be ISO 8601: then they are seconds since the
-            first.
+            middle, x east and y north; times of ISO 8601 become seconds since the first.
         origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has
             places on the Earth: several logs then have one frame.
         epoch: ISO time where t = 0 shall be, of a log that has times of a calendar.
 
     Raises:
-        InputError: naming file, line and column, if the file is missing, is not a flight, or there
-            is no vehicle in it and none is given.
+        InputError: naming file, line and column, if it is no flight, or there is no vehicle.
         MissingExtra: where pyproj (degrees), pyulog (PX4) or aerofiles (IGC) is not installed.
     """
     table = read_table(path, Layout.of(columns, origin, epoch))
@@ -71,8 +69,10 @@ def read_table(path: str | os.PathLike[str], layout: Layout | None = None) -> Fl
     """
     path, layout = Path(path), layout or Layout()
     with regular_file(path, most=LARGEST) as file, told_with(path):
-        formats = TABLES if layout.sources else FORMATS  # others name their columns themselves
-        table: FlightTable = formats[_suffix(path, formats)].decode(file, layout)
+        mapped, suffix = bool(layout.sources), path.suffix.lower()
+        formats = TABLES if mapped else FORMATS  # others name their columns themselves
+        one_of("file type" + " with columns=" * mapped, suffix or path.name, formats)
+        table: FlightTable = formats[suffix].decode(file, layout)
     if layout.epoch is None or table.epoch is None:
         return table
     time = table.columns["time"] + (table.epoch - layout.epoch).total_seconds()
@@ -88,13 +88,8 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
         InputError: if the file exists and ``overwrite`` is false, or cannot be written.
     """
     path = Path(path)
-    encode = WRITTEN[_suffix(path, WRITTEN)].encode
+    one_of("file type", path.suffix.lower() or path.name, WRITTEN)
     if os.path.lexists(path) and not overwrite:
         raise InputError(f"{path} exists; pass overwrite=True or choose another name")
+    encode = WRITTEN[path.suffix.lower()].encode
     write_whole(path, encode(FlightTable.from_flight(flight)))
-
-
-def _suffix(path: Path, formats: dict[str, ModuleType]) -> str:
-    kind = "file type with columns=" if formats is TABLES else "file type"
-    one_of(kind, path.suffix.lower() or path.name, formats)
-    return path.suffix.lower()

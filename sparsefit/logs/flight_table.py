@@ -125,10 +125,8 @@ def vehicle_of(settings: Mapping[str, float]) -> PointMassVehicle:
     """
     tau, quadratic, ax, ay, scale = (settings.get(key, least) for key, least in VEHICLE.items())
     if tau == math.inf and not quadratic:
-        raise InputError(
-            "no vehicle: the log tells no response time; add the line `# response_time=` to a CSV "
-            "file, or give one (vehicle=, --response-time, --unknown response_time)"
-        )
+        remedy = "add `# response_time=` to a CSV file, or give it (vehicle=, --response-time, "
+        raise InputError(f"no vehicle: no response time; {remedy}--unknown response_time)")
     return PointMassVehicle(tau, (ax, ay), quadratic, scale)
 
 

@@ -75,11 +75,7 @@ class Layout:
         origin: tuple[float, float] | None = None,
         epoch: str | datetime | None = None,
     ) -> Layout:
-        """Return the layout of ``time=t,x=lon[deg],...``.
-
-        Raises:
-            InputError: on a field, origin or epoch that is none, or a field that is given twice.
-        """
+        """Return the layout of ``time=t,x=lon[deg],...``; `InputError` where a part is none."""
         sources: dict[str, Source] = {}
         for text in str(columns).split(",") if columns else ():
             name, _, column = (part.strip() for part in text.partition("="))

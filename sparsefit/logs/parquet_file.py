@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+import numpy as np
 
 from sparsefit.errors import InputError
 from sparsefit.logs.flight_table import FlightTable, Settings, settings_of
@@ -44,10 +46,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
                 raise InputError(f"{size}: no log of a flight; write it again")
         # Texts stay packed as places in a dictionary until they are cells, which share them.
         table = parquet.ParquetFile(file, read_dictionary=wanted).read(columns=wanted)
-        packed = arrow.types.is_dictionary
-        columns = ((name, table.column(name)) for name in wanted)
-        cells = {name: (own.to_pandas() if packed(own.type) else own).to_numpy()
-                 for name, own in columns}  # fmt: skip
+        cells = {name: _cells(name, table.column(name)) for name in wanted}
         entries = (
             ("metadata", key.decode(errors="replace"), text.decode(errors="replace"))
             for key, text in (schema.metadata or {}).items()
@@ -61,3 +60,18 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         return layout.flight_table(schema.names, read, "row {}".format)
     except (arrow.ArrowException, OSError, UnicodeDecodeError):
         raise InputError("not a Parquet file, or a damaged one; write it again") from None
+
+
+def _cells(name: str, column: Any) -> Cells:
+    """The cells of a column; texts as objects, empty ones as no text."""
+    from pyarrow import types
+
+    if not types.is_dictionary(column.type):
+        return np.asarray(column.to_numpy())
+    packed = column.combine_chunks()
+    words = [*map(str, packed.dictionary.to_pylist()), ""]
+    if max(map(len, words)) > 64:
+        raise InputError(f"column {name} holds texts of over 64 characters; it must hold numbers")
+    places = packed.indices.fill_null(len(words) - 1).to_numpy(zero_copy_only=False)
+    texts: Cells = np.array(words, dtype=object)[places]
+    return texts

@@ -87,7 +87,5 @@ def plane_of(
         raise InputError(f"the track goes {farthest / 1e3:.0f} km from {whence}: no plane; cut it")
     turned = np.radians(projection.get_factors(longitude, latitude).meridian_convergence)
     share = max(1e-3, 100.0 * (farthest / 6_371e3) ** 2 / 6.0)  # %
-    west = (east + 180.0) % 360.0 - 180.0
-    place = f"{abs(north):.4f}° {'NS'[north < 0]}, {abs(west):.4f}° {'EW'[west < 0]}"
-    words = f"local plane about {place}, lengths true to {share:.1g} %"
+    words = f"local plane about {north:.4f}° N, {east:.4f}° E, lengths true to {share:.1g} %"
     return Plane(position, turned, words, (east, north))

@@ -217,7 +217,7 @@ def test_vehicle_of_the_command_line_replaces_only_what_it_names(capsys, flight)
     Path(bare).write_text(re.sub("^#.*\n", "", text, flags=re.MULTILINE))
     for options in ((), ("--thrust-ax", "1")):
         line = refused(capsys, "estimate", bare, *options)
-        assert "no vehicle: the log tells no response time" in line
+        assert "no vehicle: no response time; add" in line
         assert "--response-time" in line
     _, out, _ = run(capsys, "estimate", bare, *COARSE, *PAPER, "--response-time", "0.5")
     assert "response time 0.5 s, thrust (0, 0) m/s^2" in out

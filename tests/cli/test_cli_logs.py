@@ -109,6 +109,6 @@ def test_a_bad_log_is_refused_by_name_before_any_work(capsys, monkeypatch, fligh
     monkeypatch.setattr(sf.Estimator, "estimate", Mock(side_effect=AssertionError))
     write_flight(replace(flight, time=flight.time + 600.0 * (flight.time > 2)), "bad.csv")
     assert "bad.csv: " in refused(capsys, "bad.csv", "--json")
-    assert "a gap of 10 minutes" in refused(capsys, "bad.csv")
+    assert "a gap of 600 s" in refused(capsys, "bad.csv")
     foreign = (written(flight), *VEHICLE, "--columns", MAP, "--from", "9")
     assert "at least 3 samples" in refused(capsys, *foreign)

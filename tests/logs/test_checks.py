@@ -40,7 +40,7 @@ def test_flights_are_not_refused(rate, noise):
 def test_a_gap_of_ten_minutes(flight):
     time = flight.time + 600.0 * (np.arange(flight.samples) > 300)
     late = replace(flight, time=time)
-    assert refused(late).startswith("a gap of 10 minutes after t=3 s (row 300)")
+    assert refused(late).startswith("a gap of 600 s after t=3 s (row 300)")
     check_log(late, longest_gap=601.0)  # as the message says
     assert "longest gap of 601 s" in refused(late)
 

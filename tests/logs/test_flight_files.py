@@ -108,7 +108,7 @@ def test_the_vehicle_may_come_from_the_caller_alone(csv_of):
     assert read_flight(csv_of(HEADER + ROWS), vehicle=VEHICLE).vehicle == VEHICLE
     path = csv_of("time,x,y,vx,vy\n" + ROWS)
     assert read_flight(path, vehicle=VEHICLE).vehicle == VEHICLE
-    message = r"no vehicle: the log tells no response time; add the line `# response_time=`"
+    message = r"no vehicle: no response time; add `# response_time=`"
     with pytest.raises(InputError, match=message):
         read_flight(path)
 
@@ -203,25 +203,29 @@ def test_parquet_of_other_writers(tmp_path):
 
 
 def test_bombs_are_refused_before_they_unpack(tmp_path):
-    long, ends, packed = (tmp_path / name for name in ("long.csv", "ends.csv", "packed.parquet"))
+    names = ("long.csv", "ends.csv", "packed.parquet", "shared.parquet")
+    long, ends, packed, shared = (tmp_path / name for name in names)
     with long.open("wb") as file:
         file.write(HEADER.encode())
         file.truncate(400_000_000)  # a line of zero bytes, without a byte on the disk
     ends.write_bytes(HEADER.replace("\n", "\r").encode() + b"1\r" * 5_100_000)
     texts = pa.array(["1" * 5_000_000] * 4)
     pq.write_table(pa.table(dict.fromkeys(("time", "x", "y"), texts)), packed)
-    assert packed.stat().st_size < 10_000_000
+    rows = pa.DictionaryArray.from_arrays(np.zeros(4_000_000, np.int32), ["1" * 10_000])
+    pq.write_table(pa.table(dict.fromkeys(("time", "x", "y"), rows)), shared)  # of 40 GB
+    assert packed.stat().st_size + shared.stat().st_size < 10_000_000
     script = f"""
 import resource, sys
 resource.setrlimit(resource.RLIMIT_DATA, (2**30, 2**30))
 import sparsefit as sf
-for path in {[str(long), str(ends), str(packed)]}:
+for path in {[str(tmp_path / name) for name in names]}:
     try: sf.read_flight(path)
     except sf.InputError as error: print(error)
 """
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     words = ("is longer than 65536 bytes", "are more than the 5000000", "column time unpacks to 5")
-    assert len(run.stdout.splitlines()) == 3, run.stderr
+    words += ("column time holds texts of over 64 characters",)
+    assert len(run.stdout.splitlines()) == 4, run.stderr
     for line, expected in zip(run.stdout.splitlines(), words, strict=True):
         assert expected in line
 
