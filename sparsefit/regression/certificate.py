@@ -7,8 +7,8 @@ In the notation of `losses` and `penalties`, with R = Y - Z V, u the derivative 
 
 the loss gives P and, at the dual point s u/m, D, less the penalty's conjugate at s C: that of a
 norm is 0 where s times the dual norm of C is <= alpha, and infinite elsewhere; where weights have
-bounds it is finite, and s = 1 is the best at the optimum (near it s is tried from 1 down, so that
-the rounding of C costs no bound that does not bind). Targets that nothing couples have an s
+bounds it is finite, and s = 1 is the best at the optimum (s is tried from 1 down, so that bounds
+that are far off cost nothing where C is above alpha by rounding, or not solved yet). Targets that nothing couples have an s
 each. The gap is P - D over P at V = 0. A ridge mu/2 |V|^2, mu = alpha rho, is k more rows of Z,
 sqrt(m mu) I, with targets of zero: with F = V there, C becomes C - mu F, r becomes r + mu |F|^2 and
 q stays. Where there is no norm, F = C/mu is the better dual point, and obeys the constraint C = 0
@@ -50,8 +50,9 @@ from sparsefit.regression.penalties import Penalty, SquaredNorm
 
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
 SMALL = 1e-10  # the gap from which a square-root fit is not judged by its signs, too
-NEAR = (0.0, *(10.0 ** np.arange(-14, -2)).tolist())  # of s to 1, where weights have bounds
 FLOORS = (0.0, 1e-8)  # of the largest weight, below which one has no sign: an interior point's
+SHARES = (1.0, *(1.0 - np.geomspace(1e-14, 0.1, 14)), *np.geomspace(0.8, 1e-8, 20))
+"""The s that are tried where weights have bounds."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ class DualPoint:
                 limit = np.where(peaks > 0, alphas[:, None] / peaks, np.inf)
             limits = [limit]
             if penalty.is_bounded:
-                limits += [np.minimum(limit, 1.0 - near) for near in NEAR]
+                limits += [np.minimum(limit, share) for share in SHARES]
             values = []
             for most in limits:
                 s = penalty.loss.factor(limiting, product, most, level)

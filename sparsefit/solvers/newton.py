@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.regression.certificate import NEAR
+from sparsefit.regression.certificate import SHARES
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import Penalty
 
@@ -141,9 +141,9 @@ def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -
     peak = float(penalty.constraint(correlation).max(initial=0.0))
     s = dual_share(product, square, peak, alpha)
     dual = s * product - 0.5 * s * s * square
-    if penalty.is_bounded:  # at the optimum s = 1 is the best
+    if penalty.is_bounded:
         limit = alpha / peak if peak > 0 else np.inf
-        choices = np.array([s, *(min(limit, 1.0 - near) for near in NEAR)])
+        choices = np.array([s, *(min(limit, share) for share in SHARES)])
         pull = np.multiply.outer(choices, correlation)
         duals = choices * product - 0.5 * choices**2 * square
         dual = float((duals - penalty.conjugate(pull, alpha).sum(axis=-1)).max())

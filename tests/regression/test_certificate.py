@@ -276,8 +276,7 @@ def test_a_box_by_hand():
     assert (found.primal, found.dual) == pytest.approx((1.375, 1.375))
     assert found.bound < 1e-13
     off = certify(THETA, TARGET, [[0.5], [0.5]], 0.5, box)  # C = (3/2, 1/2), q = 7/2, r = 5/2
-    assert off.primal == pytest.approx(1.75)
-    assert 1.25 <= off.dual <= 1.251  # s = 1: 7/2 - 5/4 - 1; s = .999 gives a little more
+    assert (off.primal, off.dual) == pytest.approx((1.75, 1.3))  # 7/2 s - 5/4 s^2 - 3/2 s + 1/2
 
 
 def test_the_dual_point_of_a_box_has_each_rounding_on_its_safe_side():

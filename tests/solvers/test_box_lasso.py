@@ -94,3 +94,12 @@ def test_a_users_box_is_certified_by_its_conjugate():
     ours = sf.path(problem, backends.get("box-lasso", lower=-0.5, upper=0.25), fractions)
     assert path.weights == pytest.approx(ours.weights, abs=1e-8)
     assert np.isclose(path.weights[-1], 0.25, rtol=1e-12).any()
+
+
+def test_bounds_that_do_not_bind_beside_some_that_do_cost_no_certificate():
+    """In columns of units far apart the bounds are, too; each is where C meets alpha or is not."""
+    theta = THETA * np.geomspace(1e-6, 1e6, 12)
+    problem = sf.RegressionProblem.from_arrays(theta, TARGET)
+    path = sf.path(problem, backends.get("box-lasso", lower=-2.0, upper=1e3), [0.5, 0.03, 1e-3])
+    assert all(fit.status == "ok" for fit in path.fits)
+    assert 0 < (path.weights[-1] == -2.0).sum() + (path.weights[-1] == 1e3).sum() < 12
