@@ -8,11 +8,11 @@ In the notation of `losses` and `penalties`, with R = Y - Z V, u the derivative 
 the loss gives P and, at the dual point s u/m, D, less the penalty's conjugate at s C: that of a
 norm is 0 where s times the dual norm of C is <= alpha, and infinite elsewhere; where weights have
 bounds it is finite, and s = 1 is the best at the optimum (s is tried from 1 down, so that bounds
-that are far off cost nothing where C is above alpha by rounding, or not solved yet). Targets that nothing couples have an s
-each. The gap is P - D over P at V = 0. A ridge mu/2 |V|^2, mu = alpha rho, is k more rows of Z,
-sqrt(m mu) I, with targets of zero: with F = V there, C becomes C - mu F, r becomes r + mu |F|^2 and
-q stays. Where there is no norm, F = C/mu is the better dual point, and obeys the constraint C = 0
-that is left then.
+that are far off cost nothing where C is above alpha by rounding, or not solved yet). Targets that
+nothing couples have an s each. The gap is P - D over P at V = 0. A ridge mu/2 |V|^2, mu = alpha
+rho, is k more rows of Z, sqrt(m mu) I, with targets of zero: with F = V there, C becomes C - mu F,
+r becomes r + mu |F|^2 and q stays. Where there is no norm, F = C/mu is the better dual point, and
+obeys the constraint C = 0 that is left then.
 
 Where a square-root fit leaves no residual, s R says nothing of the dual optimum. But at an optimum
 of weights with signs s on columns A, Z_A'u/m = alpha s, and of all these u that of least norm is
