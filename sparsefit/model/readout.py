@@ -63,25 +63,19 @@ class Readout:
                 one_of(f"readout {key}", getattr(self, key), get_args(kind))
         number_setting("readout", "precision", self.precision, low=0.0)
         if self.scales == "several" and self.mean_velocity == "paper":
-            raise InputError(
-                "readout: mean_velocity 'paper' (Eq. 22) scales one field to its range and cannot "
-                "part several; use 'rms', or scales 'one'"
-            )
+            words = "mean_velocity 'paper' (Eq. 22) scales one field to its range"
+            raise InputError(f"readout: {words}: it cannot part several; use 'rms'")
 
     def by_scale(self, fit: Fit, library: Library) -> dict[float, float]:
         """The weight of each length scale [m]: of waves the norm of their strengths [m/s]."""
         rows, rule, group_scales = fit.weights, self.length_scale, fit.problem.group_scales
         assert group_scales is not None
         if library.family == "waves":
-            k, _ = _waves_of(fit)
-            rows, rule = np.repeat(np.linalg.norm(k, axis=1), 2)[:, None] * rows, "group-norm"
-        sums = {
-            "signed-sum": rows.sum(axis=1),
-            "absolute-sum": np.abs(rows).sum(axis=1),
-            "group-norm": np.square(rows).sum(axis=1),
-        }[rule]
+            sizes = np.linalg.norm(_waves_of(fit)[0], axis=1)
+            rows, rule = np.repeat(sizes, 2)[:, None] * rows, "group-norm"
+        terms = {"signed-sum": rows, "absolute-sum": np.abs(rows), "group-norm": rows**2}[rule]
         scales, place = np.unique(group_scales, return_inverse=True)
-        total = np.bincount(place[fit.problem.groups], sums, len(scales))
+        total = np.bincount(place[fit.problem.groups], terms.sum(axis=1), len(scales))
         total = np.sqrt(total) if rule == "group-norm" else total
         return dict(zip(scales.tolist(), total.tolist(), strict=True))
 
@@ -238,11 +232,11 @@ def read_grid(
         k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
     if readout.mean_velocity == "paper":
         pairs = list(zip(flights, vehicles, strict=True))
-        phi = [samples.flow_velocity(vehicle) for samples, vehicle in pairs]
-        target = [library.response(samples, vehicle)[:, -2:] for samples, vehicle in pairs]
+        phi = np.concatenate([samples.flow_velocity(vehicle) for samples, vehicle in pairs])
+        target = np.concatenate([library.response(*pair)[:, -2:] for pair in pairs])
         columns = candidate_columns(position, np.pi / k)
-        field = columns @ np.linalg.lstsq(columns, np.concatenate(target), rcond=None)[0]
-        speeds = np.array([paper_mean_velocity(field, np.concatenate(phi), readout.eq24)])
+        field = columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+        speeds = np.array([paper_mean_velocity(field, phi, readout.eq24)])
     else:
         own = cells_at(k)
         speeds = rms_mean_velocity(own)

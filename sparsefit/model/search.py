@@ -54,10 +54,8 @@ class Search:
         if not extent > 0:
             raise InputError("the flight does not move: no length scale can be told; fly farther")
         if line_steps(extent, library.bounds) > 150_000:  # more lobes are looked into by nobody
-            raise InputError(
-                f"a length scale of {least:.3g} m is too small for a flight of {extent:.3g} m: "
-                "too many lobes; raise the grid's lower bound"
-            )
+            words = f"a length scale of {least:.3g} m is too small for a flight of {extent:.3g} m"
+            raise InputError(f"{words}: too many lobes; raise the grid's lower bound")
         time = np.concatenate([samples.time for samples in flights])
         origin = np.array([*middle(position), 0.5 * (time.min() + time.max())])
         thin, worth = [], 0.0
@@ -74,16 +72,11 @@ class Search:
             thin.append(samples.rows(slice(None, None, max(1, stride, len(way) // 6_000))))
         counts = tuple(len(samples.time) for samples in thin)
         own = np.repeat(np.array(weights or [1.0] * len(flights), dtype=float), counts)
-        place = [np.column_stack([samples.position, samples.time]) for samples in thin]
-        pairs = zip(thin, vehicles, strict=True)
-        phi = [samples.flow_velocity(vehicle) for samples, vehicle in pairs]
+        place = np.vstack([np.column_stack([rows.position, rows.time]) for rows in thin]) - origin
+        phi = np.vstack([own.flow_velocity(by) for own, by in zip(thin, vehicles, strict=True)])
         unknowns = tuple(UnknownColumns(library.unknown, vehicle) for vehicle in vehicles)
-        rows = FlowRows(
-            np.concatenate(place) - origin,
-            own[:, None] * np.concatenate(phi),
-            own[:, None, None] * side_by_side(unknowns, thin),
-            own,
-        )
+        beside = own[:, None, None] * side_by_side(unknowns, thin)
+        rows = FlowRows(place, own[:, None] * phi, beside, own)
         return cls(rows, library.bounds, min(worth, 2.0 * len(own)), origin, unknowns, counts)
 
     @cached_property
