@@ -390,7 +390,7 @@ def fitted(
             )
             starts[number] = replace(model, disturbance=fresh)
     try:
-        return measure(logs, starts, tuple(starts[0].disturbance.levels), start, passes)
+        return measure(logs, starts, start, passes)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
         return None
 
@@ -443,8 +443,7 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
 
 def disturbed(posterior: Posterior) -> bool:
     """Whether there is process noise, or colour: a level is seen, and is more than chance."""
-    seen = posterior.level_information[:1, :1]
-    if posterior.exact or posterior.pushed or not (seen > 1.0).any():
+    if posterior.exact or posterior.pushed or not posterior.seen > 1.0:
         return False
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
 

@@ -22,10 +22,10 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, one_of
+from sparsefit.errors import InputError
 from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.nodes import FlightLog
-from sparsefit.likelihood.smoother import GAIN, PASSES, Step, Summit, climbed, inverted, noisier
+from sparsefit.likelihood.smoother import GAIN, PASSES, Step, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
 COARSE = 200  # rows of a log that the first passes see
@@ -97,8 +97,7 @@ class Posterior:
         names: of the free parameters (p,); "tau@2" is that of the second log.
         information: of these (p, p), levels at their values.
         log_likelihood: at the optimum.
-        estimated: the names of the levels that were estimated.
-        level_information: of the logarithms of their variances, of the first log (l, l).
+        seen: the information of the logarithm of process noise's variance, of the first log.
         reason: why the search did not end at the optimum; empty where it did.
         ladder: likelihoods at more process noise, of one log where it fell to nothing.
     """
@@ -107,8 +106,7 @@ class Posterior:
     names: tuple[str, ...]
     information: Array
     log_likelihood: float
-    estimated: tuple[str, ...]
-    level_information: Array
+    seen: float
     reason: str
     ladder: tuple[Rung, ...] = ()
 
@@ -176,7 +174,7 @@ class Posterior:
     def bic(self) -> float:
         """Return -2 log L + (p + l) log(readings)."""
         readings = sum(int((leg.nodes.weights > 0.0).sum()) for leg in self.legs)
-        free = len(self.names) + len(self.estimated)
+        free = len(self.names) + len(self.model.disturbance.levels)
         return -2.0 * self.log_likelihood + free * math.log(max(readings, 2))
 
     def value(self, name: str) -> float:
@@ -200,7 +198,7 @@ class Posterior:
         with np.errstate(all="ignore"):
             for place, leg in enumerate(self.legs):
                 for name, level in leg.model.disturbance.levels.items():
-                    if name in self.estimated and name not in LEVELS[1:] and level > 0.0:
+                    if name not in LEVELS[1:] and level > 0.0:
                         excess = self._widened(place, name, bare)
                         total += excess if np.isfinite(excess).all() else 0.0
         return total * self.inflation
@@ -266,40 +264,30 @@ class Posterior:
 def measure(
     logs: FlightLog | Sequence[FlightLog],
     model: Model | Sequence[Model],
-    levels: Sequence[str] = LEVELS,
     start: Posterior | None = None,
     passes: int = PASSES,
 ) -> Posterior:
-    """Find the maximum of the likelihood of logs that share the free parameters.
+    """Find the maximum of the likelihood of logs that share the free parameters, and its levels.
 
     Args:
         logs: one flight or several through one flow.
         model: one for all, or one per log, with the same pattern and the same free parameters;
             the values are where the search starts.
-        levels: the names of the levels to estimate; others are at their values.
         start: an earlier posterior of the same logs, with fewer parameters or processes perhaps:
             its trajectories are where the search starts, and the noise is not annealed.
         passes: over all rows at most.
 
     Raises:
-        InputError: if a level or a parameter has no such name, or the log has gaps too long.
+        InputError: if the log has gaps too long.
     """
     records, models = _about(logs, model)
-    own = list(models[0].disturbance.levels)
-    for name in levels:
-        one_of("level", name, own)
-    wanted = [own.index(name) for name in levels]
+    speed, length = models[0].pattern.mean_velocity, models[0].pattern.length_scale
     floors = []
     for log, each in zip(records, models, strict=True):
-        pattern, floor = each.pattern, np.full(len(each.disturbance.levels), 1e-150)
-        speed, length = EXACT * pattern.mean_velocity, pattern.length_scale
-        floor[:3] = (
-            max(speed * math.sqrt(pattern.mean_velocity / length), log.kicks),
-            0.01 * EXACT * length,  # process noise moves a position by less than passes err
-            speed,
-        )
-        if 0 not in wanted:
-            floor[0] = max(each.disturbance.acceleration, 1e-9)
+        floor = np.full(len(each.disturbance.levels), 1e-150)
+        floor[0] = max(EXACT * speed * math.sqrt(speed / length), log.kicks)
+        floor[1] = 0.01 * EXACT * length  # process noise moves a position by less than passes err
+        floor[2] = EXACT * speed
         floors.append(floor)
     hold, pairs = 0, list(zip(records, models, strict=True))
     with np.errstate(all="ignore"):  # a step that is no number is not taken
@@ -309,53 +297,52 @@ def measure(
                 for log, each in pairs
             ]
             stride, hold = max(int(min(strides)), 1), 2
-            speed, length = models[0].pattern.mean_velocity, models[0].pattern.length_scale
             rate = math.sqrt(2.0) * math.pi * speed / length + 1e-9
-            annealed = ANNEAL * speed / math.sqrt(rate)
+            legs = tuple(Leg.of(*pair, stride) for pair in pairs)
             legs = tuple(
-                noisier(Leg.of(*pair, stride), annealed / pair[1].values["response_time"])
-                for pair in pairs
-            )
+                leg.at({LEVELS[0]: max(
+                    ANNEAL * speed / math.sqrt(rate) / leg.model.values["response_time"],
+                    leg.model.disturbance.acceleration,
+                )}) for leg in legs
+            )  # fmt: skip
             if stride > 1:
-                few, hold = climbed(legs, wanted, floors, PASSES), 0
-                legs = tuple(leg.again(1) for leg in few.legs)
+                few, hold = climbed(legs, floors, PASSES)[0], 0
+                legs = tuple(leg.again(1) for leg in few)
         else:
             legs = tuple(
                 Leg.of(*pair, 1, (leg.nodes.time, leg.track))
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
-        summit, ladder = climbed(legs, wanted, floors, hold, passes), tuple[Rung, ...]()
-        if 0 in wanted and not summit.reason:
-            ladder = _above(summit, floors)
+        legs, step, reason = climbed(legs, floors, hold, passes)
+        ladder = tuple[Rung, ...]() if reason else _above(legs, step, floors)
         highest = max(ladder, key=lambda rung: rung.value, default=None)
-        if highest and highest.height > 0.0 and highest.value > summit.value + 10.0 * GAIN:
-            raised = tuple(leg.louder(highest.height) for leg in summit.legs)
-            again = climbed(raised, wanted, floors, 0, passes)
-            if again.value > summit.value:
-                before, after = (own.legs[0].model.disturbance for own in (summit, again))
-                fall, summit = math.log(before.acceleration / after.acceleration), again
+        if highest and highest.height > 0.0 and highest.value > step.reached + 10.0 * GAIN:
+            raised = tuple(leg.louder(highest.height) for leg in legs)
+            again, better, why = climbed(raised, floors, 0, passes)
+            if better.reached > step.reached:
+                before, after = (own[0].model.disturbance.acceleration for own in (legs, again))
+                fall, legs, step, reason = math.log(before / after), again, better, why
                 ladder = tuple(replace(rung, height=rung.height + fall) for rung in ladder)
-    step, size = summit.step, len(wanted)
-    known = step.levels[0]
+    value = step.reached if math.isfinite(step.reached) else -math.inf
+    seen = step.levels[0]
     return Posterior(
-        summit.legs, step.names, step.information, summit.value, tuple(levels),
-        known[np.ix_(wanted, wanted)] if known.size else np.zeros((size, size)),
-        summit.reason, ladder if len(records) == 1 else (),
+        legs, step.names, step.information, value, float(seen[0, 0]) if seen.size else 0.0, reason,
+        ladder if len(records) == 1 else (),
     )  # fmt: skip
 
 
-def _above(summit: Summit, floors: Sequence[Array]) -> tuple[Rung, ...]:
+def _above(legs: tuple[Leg, ...], step: Step, floors: Sequence[Array]) -> tuple[Rung, ...]:
     """Rungs of process noise that fell to nothing: the likelihood may have a maximum above."""
-    levels = [leg.model.disturbance.levels for leg in summit.legs]
-    seen = max(float(leg.last.squares[0, 1]) for leg in summit.legs if leg.last)
+    levels = [leg.model.disturbance.levels for leg in legs]
+    degrees = max(float(leg.last.squares[0, 1]) for leg in legs if leg.last)
     exact = all(
         min(level["position_noise"] / floor[1], level["velocity_noise"] / floor[2]) < 2.0
         for level, floor in zip(levels, floors, strict=True)
     )
-    if exact or summit.legs[0].model.disturbance.processes or not 0.0 < seen < 2.0:
+    if exact or legs[0].model.disturbance.processes or not 0.0 < degrees < 2.0:
         return ()
-    optimum = Rung(0.0, summit.value, summit.step.covariance)
-    return climbed_levels(summit.legs, optimum, seen, LEVELS[0], least=FAR)
+    optimum = Rung(0.0, step.reached, step.covariance)
+    return climbed_levels(legs, optimum, degrees, LEVELS[0], least=FAR)
 
 
 def bound(logs: Sequence[FlightLog], models: Sequence[Model], states: Sequence[Array]) -> Array:

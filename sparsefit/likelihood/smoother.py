@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
@@ -127,92 +128,74 @@ class Step:
         return tuple(moved)
 
 
-@dataclass(frozen=True, eq=False)
-class Summit:
-    """The end of a search.
-
-    Args:
-        legs: the logs at the optimum, with their smoothed passes.
-        step: the last one.
-        value: the log-likelihood.
-        reason: why the search did not converge; empty where it did.
-    """
-
-    legs: tuple[Leg, ...]
-    step: Step
-    value: float
-    reason: str
-
-
 def climbed(
-    legs: tuple[Leg, ...], wanted: list[int], floors: Sequence[Array], hold: int, most: int = PASSES
-) -> Summit:
+    legs: tuple[Leg, ...], floors: Sequence[Array], hold: int, most: int = PASSES
+) -> tuple[tuple[Leg, ...], Step, str]:
     """Pass after pass while the likelihood rises.
 
     Args:
         legs: where the search starts.
-        wanted: the places of the levels that are estimated.
         floors: per log, standard deviations (l,) that no level goes below.
         hold: the passes before the levels of the instruments move.
         most: passes.
+
+    Returns:
+        The logs at the optimum with their smoothed passes, the last step, and why the search did
+        not converge; empty where it did.
     """
     reason, halvings, lifts, fresh = "", 0, 0, True
-    scouts = [LevelSteps(wanted, floor, hold) for floor in floors]
+    scouts = [LevelSteps(floor, hold) for floor in floors]
     history: list[float] = []
     best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
-
-    def placed(share: float) -> tuple[Leg, ...]:
-        """The logs after a share of the best step, on the nodes of their latency."""
-        assert best is not None
-        moved = best[0].moved(best[1], share, best[2])
-        late = "latency" in moved[0].model.names
-        return tuple(leg.again(leg.stride) for leg in moved) if late else moved
-
     for _ in range(most):
         step = Step.of(legs)
         fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
         if fallen or not math.isfinite(step.reached):
             if best is not None and halvings < 4:
                 halvings += 1
-                legs = placed(0.5**halvings)
             elif lifts < LIFTS:
                 before = legs if best is None else [each.leg for each in best[0].passes]
                 legs = tuple(
-                    noisier(leg, max(10.0 * leg.model.disturbance.acceleration, 0.01))
+                    leg.at({LEVELS[0]: max(10.0 * leg.model.disturbance.acceleration, 0.01)})
                     for leg in before
                 )
                 best, lifts, halvings, fresh = None, lifts + 1, 0, True
-                scouts = [LevelSteps(wanted, floor, hold) for floor in floors]
+                scouts = [LevelSteps(floor, hold) for floor in floors]
             else:
                 reason = "the likelihood cannot be raised from where the search started"
                 break
-            continue
-        halvings, smoothed = 0, step.smoothed()
-        sorted_out = zip(legs, smoothed, strict=True) if len(history) < SORTING else ()
-        fresh = sum(_gated(*pair) for pair in sorted_out) > 0
-        history.append(step.reached)
-        moves = [
-            scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
-            for scout, leg, each, levels in zip(scouts, legs, smoothed, step.levels, strict=True)
-        ]
-        best = step, smoothed, [change for change, _ in moves]
-        gains = sum(gain for _, gain in moves)
-        enough = GAIN * (30.0 if legs[0].stride > 1 else 1.0)
-        level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
-        if not fresh and step.gain < enough and (gains < enough or level):
-            break
-        legs = placed(1.0)
+        else:
+            halvings, smoothed = 0, step.smoothed()
+            sorted_out = zip(legs, smoothed, strict=True) if len(history) < SORTING else ()
+            fresh = sum(_gated(*pair) for pair in sorted_out) > 0
+            history.append(step.reached)
+            moves = [
+                scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
+                for scout, leg, each, levels in zip(
+                    scouts, legs, smoothed, step.levels, strict=True
+                )
+            ]
+            best = step, smoothed, [change for change, _ in moves]
+            gains = sum(gain for _, gain in moves)
+            enough = GAIN * (30.0 if legs[0].stride > 1 else 1.0)
+            level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
+            if not fresh and step.gain < enough and (gains < enough or level):
+                break
+        if best is not None:
+            legs = best[0].moved(best[1], 0.5**halvings, best[2])
+            if "latency" in legs[0].model.names:  # nodes move with it
+                legs = tuple(leg.again(leg.stride) for leg in legs)
     else:
         reason = f"not at the maximum after {most} passes"
     if best is None:
-        return Summit(legs, step, -math.inf, reason)
+        return legs, step, reason
     step, smoothed, _ = best
     if step.blind and not reason:
         *others, final = step.blind
         reason = f"the log cannot tell {', '.join(others)} from {final}" if others else (
             f"the log does not see {final}"
         )  # fmt: skip
-    return Summit(step.moved(smoothed), step, step.reached, reason)
+    return step.moved(smoothed), step, reason
 
 
 def _gated(leg: Leg, smoothed: Smoothed) -> bool:
@@ -241,10 +224,9 @@ def _gated(leg: Leg, smoothed: Smoothed) -> bool:
 class LevelSteps:
     """The steps of the logarithms of the variances of one log, pass after pass."""
 
-    def __init__(self, wanted: list[int], floors: Array, hold: int) -> None:
+    def __init__(self, floors: Array, hold: int) -> None:
         """Begin far from the optimum; the arguments are those of `climbed`."""
-        self.wanted, self.floors, self.hold = wanted, floors, hold
-        self.count, self.gain = 0, math.inf
+        self.floors, self.hold, self.count, self.gain = floors, hold, 0, math.inf
         self.before: tuple[Array, Array] | None = None
 
     def change(
@@ -258,44 +240,34 @@ class LevelSteps:
             information: of the logarithms (l, l), or of no rows.
         """
         self.count += 1
-        (a, n), step = squares.T, np.zeros(len(levels))
+        (a, n), places = squares.T, np.arange(len(levels))
         place = 2.0 * np.log(np.maximum(levels, 1e-150))
         lowest = np.minimum(2.0 * np.log(self.floors) - place, 0.0)
-        few = np.where(np.isin(np.arange(len(a)), INSTRUMENTS), 5.0, 1e-300)
+        instruments = np.isin(places, INSTRUMENTS)
+        few = np.where(instruments, 5.0, 1e-300)
         ratio = np.log((a + few) / (n + few))  # few readings' worth says little of their noise
-        active = [
-            j
-            for j in self.wanted
-            if max(a[j], n[j]) > NEGLIGIBLE and (lowest[j] < -1e-3 or ratio[j] > 0.0)
-        ]
-        annealing = 0 not in self.wanted and lowest[0] < -1e-3
-        if annealing:
-            step[0] = -math.log(100.0) if n[0] > NEGLIGIBLE else lowest[0]
-        moving = active
-        if self.count <= self.hold or annealing:
-            active = [j for j in active if j not in INSTRUMENTS]
-        share, gain = np.zeros(len(levels)), math.inf
-        if self.gain < 10.0 and len(information) and active:
-            least = np.where(np.isin(active, INSTRUMENTS), -0.7, -0.99)
-            block = information[np.ix_(active, active)]
-            share[active] = _bounded(block, (a - n)[active], least)
-            gain = float((a - n) @ share)
-        near = not active or 0.0 <= gain < 10.0
-        if near:
-            step[active] = np.log1p(share[active])
-            self.gain = gain if active else 0.0
-        else:
-            slope = np.where(few > 1.0, 1.0, 0.4)
-            if self.before is not None:
-                away = place - self.before[0]
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    secant = np.clip((self.before[1] - ratio) / away, 0.2, 1.0)
-                slope = np.where(np.abs(away) > 0.05, secant, slope)
-            step[active] = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))[active]
-            moving = moving if self.count >= self.hold else active
-            self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[moving].sum())
-        self.before = place, ratio
-        return np.maximum(step, lowest), self.gain if near and not annealing else math.inf
+        moving = (np.maximum(a, n) > NEGLIGIBLE) & ((lowest < -1e-3) | (ratio > 0.0))
+        active = places[moving & ~(instruments & (self.count <= self.hold))]
+        step, share, gain = np.zeros(len(levels)), np.zeros(len(active)), math.inf
+        before, self.before = self.before, (place, ratio)
+        if self.gain < 10.0 and len(information) and len(active):
+            least = np.where(instruments[active], -0.7, -0.99)
+            share = _bounded(information[np.ix_(active, active)], (a - n)[active], least)
+            gain = float((a - n)[active] @ share)
+        if not len(active) or 0.0 <= gain < 10.0:
+            step[active] = np.log1p(share)
+            self.gain = gain if len(active) else 0.0
+            return np.maximum(step, lowest), self.gain
+        slope = np.where(instruments, 1.0, 0.4)
+        if before is not None:
+            away = place - before[0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                secant = np.clip((before[1] - ratio) / away, 0.2, 1.0)
+            slope = np.where(np.abs(away) > 0.05, secant, slope)
+        step[active] = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))[active]
+        counted = moving if self.count >= self.hold else active
+        self.gain = float(np.abs((a - n) * np.clip(ratio, -1.0, 1.0))[counted].sum())
+        return np.maximum(step, lowest), math.inf
 
 
 def _bounded(information: Array, score: Array, least: Array) -> Array:
@@ -312,11 +284,6 @@ def _bounded(information: Array, score: Array, least: Array) -> Array:
         share[furthest] = min(max(share[furthest], least[furthest]), 2.0)
         free[furthest] = False
     return share
-
-
-def noisier(leg: Leg, level: float) -> Leg:
-    """The leg with at least this process noise."""
-    return leg.at({"acceleration": max(level, leg.model.disturbance.acceleration)})
 
 
 def inverted(information: Array) -> tuple[Array, IntArray]:

@@ -20,6 +20,7 @@ from sparsefit.likelihood import (
 )
 from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes
+from sparsefit.likelihood.posterior import Rung
 from sparsefit.likelihood.trellis import Leg
 
 TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
@@ -76,7 +77,7 @@ def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
     log = FlightLog(step * np.arange(count + 1), states[:, :2], states[:, 2:], (0.0, 0.0))
     still = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
     model = Model(still, {"response_time": 1e6}, Disturbance(0.5, 1e-9, 1e-7))
-    posterior = measure(log, model, ("acceleration",))
+    posterior = measure(log, model)
     assert posterior.model.disturbance.acceleration == pytest.approx(1.0, rel=0.04)
 
 
@@ -153,18 +154,21 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
     from scipy.optimize import least_squares
 
     log, states = flown(3, count=100)
+    posterior = measure(log, Model(nearby(), {"response_time": TAU}))
+    assert posterior.converged, posterior.reason
+    noise = posterior.model.disturbance
+    size = np.repeat([noise.position_noise, noise.velocity_noise], 2)
 
     def misfit(p):
         motion, time = motion_of(StreamPattern("axis", tuple(p[4:]))), log.time
         path = solve_ivp(motion, (0, time[-1]), p[:4], "DOP853", time, rtol=1e-10).y.T
-        return ((path - np.hstack([log.position, log.velocity])) / [0.05, 0.05, 0.2, 0.2]).ravel()
+        return ((path - np.hstack([log.position, log.velocity])) / size).ravel()
 
     fit = least_squares(misfit, [*states[0], *TRUE.values], x_scale="jac", xtol=1e-12)
     errors = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))[4:6]
-    posterior = measure(log, Model(nearby(), {"response_time": TAU}), levels=())
-    assert posterior.converged, posterior.reason
+    bare = np.sqrt(np.diag(np.linalg.inv(posterior.information)))
     for place, name in enumerate(("mean_velocity", "length_scale")):
-        assert posterior.error(name) == pytest.approx(errors[place], rel=0.02)
+        assert bare[posterior.names.index(name)] == pytest.approx(errors[place], rel=0.02)
         away = posterior.value(name) - fit.x[4 + place]
         assert abs(away) < 0.03 * errors[place]
 
@@ -178,10 +182,8 @@ def test_levels_are_at_the_maximum():
     assert levels["velocity_noise"] == pytest.approx(0.2, rel=0.1)
     for name in LEVELS[1:]:
         for factor in (0.97, 1.03):
-            there = model.disturbance.at(levels | {name: levels[name] * factor})
-            other = Model(posterior.model.pattern, {"response_time": TAU}, there)
-            worse = measure(log, other, levels=())
-            assert worse.log_likelihood < posterior.log_likelihood
+            there = Rung.of(posterior.legs, np.log(factor), name)
+            assert there.value < posterior.log_likelihood
 
 
 def test_parameters_that_a_log_cannot_tell_apart_are_named():
@@ -192,8 +194,6 @@ def test_parameters_that_a_log_cannot_tell_apart_are_named():
     assert posterior.reason == "the log cannot tell thrust_bias_x from wind_x"
     with pytest.raises(InputError, match='did you mean "wind_x"'):
         model.free("windx")
-    with pytest.raises(InputError, match="unknown level"):
-        measure(log, model, levels=("acceleraton",))
 
 
 @pytest.mark.parametrize("case", ["gaps", "positions", "velocities missing", "uneven", "outliers"])
@@ -227,12 +227,12 @@ def test_logs_with_faults_are_measured(case):
 
 def test_the_bound_is_the_covariance_at_the_truth():
     log, states = flown(8)
-    true = Model(TRUE, {"response_time": TAU}, Disturbance(0.0, 0.05, 0.2))
-    at_truth = bound([log], [true], [states])
-    posterior = measure(log, true, levels=())
+    posterior = measure(log, Model(TRUE, {"response_time": TAU}))
+    true = Model(TRUE, {"response_time": TAU}, posterior.model.disturbance)
+    at_truth, bare = bound([log], [true], [states]), np.linalg.inv(posterior.information)
     size = np.sqrt(np.diag(at_truth))
     scale = np.outer(size, size)
-    np.testing.assert_allclose(posterior.covariance / scale, at_truth / scale, atol=0.02)
+    np.testing.assert_allclose(bare / scale, at_truth / scale, atol=0.02)
     blind = true.free("wind_x", "thrust_bias_x")
     with pytest.raises(InputError, match="does not see all of thrust_bias_x, wind_x"):
         bound([log], [blind], [states])
@@ -241,8 +241,8 @@ def test_the_bound_is_the_covariance_at_the_truth():
 def test_flights_share_the_flow_and_have_vehicles_of_their_own():
     logs = [flown(9)[0], flown(10, place=(2.0, 1.0))[0]]
     model = Model(nearby(), {"response_time": TAU}, Disturbance()).free("response_time")
-    alone = [measure(log, model, levels=()) for log in logs]
-    both = measure(logs, model, levels=())
+    alone = [measure(log, model) for log in logs]
+    both = measure(logs, model)
     assert both.converged, both.reason
     assert both.names == (*model.names, "response_time@2")
     assert both.models[0].pattern == both.models[1].pattern
@@ -295,10 +295,8 @@ def test_a_parameter_that_is_free_is_measured(name, value):
 def test_turbulence_has_its_level():
     log, _ = flown(12)
     turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
-    posterior = measure(
-        log, Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,))),
-        (*LEVELS, "turbulence"),
-    )  # fmt: skip
+    disturbance = Disturbance(processes=(turbulence,))
+    posterior = measure(log, Model(nearby(), {"response_time": TAU}, disturbance))
     assert posterior.converged, posterior.reason
     assert posterior.model.disturbance.levels["turbulence"] < 0.02
 
@@ -349,7 +347,7 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
         log = FlightLog(0.04 * np.arange(600), readings[:, :2], readings[:, 2:], THRUST)
         turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
         model = Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,)))
-        inflations.append(measure(log, model, (*LEVELS, "turbulence")).inflation)
+        inflations.append(measure(log, model).inflation)
     assert inflations[0] > 1.8
     assert inflations[1] < 1.5  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
     assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
