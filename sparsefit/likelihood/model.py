@@ -70,12 +70,9 @@ class Disturbance:
 
     def at(self, levels: Mapping[str, float]) -> Disturbance:
         """Return the disturbance with these levels, others as they are."""
-        processes = tuple(
-            replace(process, level=levels.get(process.name, process.level))
-            for process in self.processes
-        )
-        white = {name: value for name, value in levels.items() if name in LEVELS}
-        return replace(self, processes=processes, **white)
+        walks = (replace(own, level=levels.get(own.name, own.level)) for own in self.processes)
+        white = {name: levels[name] for name in LEVELS if name in levels}
+        return replace(self, processes=tuple(walks), **white)
 
 
 @dataclass(frozen=True)
@@ -165,16 +162,12 @@ class Model:
         return replace(self, pattern=pattern, own={**self.own, **other})
 
     def free(self, *names: str) -> Model:
-        """Return the model with these parameters free as well."""
-        fixed = tuple(name for name in self.fixed if name not in names)
-        new = (name for name in names if name not in (*self.pattern.names, *self.freed))
-        return replace(self, fixed=fixed, freed=(*self.freed, *new))
+        """Return the model with these elements free as well."""
+        return replace(self, freed=tuple(dict.fromkeys((*self.freed, *names))))
 
     def known(self, *names: str) -> Model:
-        """Return the model with these parameters known, at their values."""
-        fixed = tuple(name for name in self.pattern.names if name in (*names, *self.fixed))
-        freed = tuple(name for name in self.freed if name not in names)
-        return replace(self, fixed=fixed, freed=freed)
+        """Return the model with these elements known, at their values."""
+        return replace(self, freed=tuple(name for name in self.freed if name not in names))
 
     def space(self, names: Iterable[str] = ()) -> StateSpace:
         """Return the state space, with sensitivities by named parameters."""

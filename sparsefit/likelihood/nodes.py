@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparsefit.arrays import Array, BoolArray, IntArray
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 
@@ -106,7 +106,6 @@ class Nodes:
         push: the thrust acceleration (m, 2) [m/s^2].
         measured: (m, 4), 0 where missing.
         weights: 1, or 0 where missing or left out (m, 4).
-        rows: the row of the log (m, 2) that the position and the velocity are of, -1 for none.
         seen: whether there is a reading (m, 4).
     """
 
@@ -114,7 +113,6 @@ class Nodes:
     push: Array
     measured: Array
     weights: Array
-    rows: IntArray
     seen: BoolArray
 
     @classmethod
@@ -146,15 +144,13 @@ class Nodes:
         within = np.arange(starts[-1]) - np.repeat(starts[:-1], count)
         steps = np.repeat(np.diff(times) / count, count)
         time = np.append(np.repeat(times[:-1], count) + within * steps, times[-1])
-        at = np.full((len(time), 2), -1, dtype=np.intp)
         measured, weights = np.zeros((2, len(time), 4))
-        for half, (values, stamps) in enumerate(((place, clock - shift), (speed, clock))):
-            nodes, channels = starts[np.searchsorted(times, stamps)], slice(2 * half, 2 * half + 2)
-            at[nodes, half] = rows
-            measured[nodes, channels] = np.nan_to_num(values, nan=0.0)
-            weights[nodes, channels] = np.isfinite(values)
+        for channel, values, stamps in ((0, place, clock - shift), (2, speed, clock)):
+            nodes = starts[np.searchsorted(times, stamps)]
+            measured[nodes, channel : channel + 2] = np.nan_to_num(values, nan=0.0)
+            weights[nodes, channel : channel + 2] = np.isfinite(values)
         push = [np.interp(time, log.time - origin[2], each) for each in log.thrust.T]
-        return cls(time, np.column_stack(push), measured, weights, at, weights > 0.0)
+        return cls(time, np.column_stack(push), measured, weights, weights > 0.0)
 
     def track(self) -> Array:
         """Return a first track (m, 4) through the readings."""

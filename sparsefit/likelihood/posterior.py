@@ -25,7 +25,7 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.nodes import FlightLog
-from sparsefit.likelihood.smoother import GAIN, PASSES, Step, climbed, inverted
+from sparsefit.likelihood.smoother import PASSES, Step, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
 COARSE = 200  # rows of a log that the first passes see
@@ -36,7 +36,6 @@ NEIGHBOURS = 30  # waves around those of the flow
 NEAREST, FURTHEST = 2.5, 5.0  # of these, in 2 pi over the extent of the flight
 NOTHING = 0.1  # degrees of freedom of a level: the parameters feel no less of it
 FEWEST = 16  # innovations of a channel that are tested
-FAR = 64.0  # degrees of freedom: where process noise is looked for above none
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,35 +56,14 @@ class Rung:
     def of(cls, legs: tuple[Leg, ...], height: float, name: str, place: int | None = None) -> Rung:
         """One forward pass of the logs; place: of the log whose level it is, None: all."""
         moved = tuple(
-            leg.louder(height, name) if place in (None, number) else leg
+            leg.at({name: math.exp(height) * leg.model.disturbance.levels[name]})
+            if place in (None, number)
+            else leg
             for number, leg in enumerate(legs)
         )
         step = Step.of(moved, keep=False)
         spread = step.covariance + np.outer(step.change, step.change)
         return cls(height, step.reached, spread)
-
-
-def climbed_levels(
-    legs: tuple[Leg, ...],
-    optimum: Rung,
-    degrees: float,
-    name: str,
-    place: int | None = None,
-    least: float = 0.0,
-) -> tuple[Rung, ...]:
-    """Rungs of a level by factors of 3, from one that counts as nothing to one that is unlikely.
-
-    legs: at an optimum, whose own rung has height 0; degrees: of freedom that the level takes
-    there, which grow with its square at most; place: of the log whose level it is, None: of all;
-    least: the degrees of freedom that the highest rung has, if they grow so.
-    """
-    start, top = (0.5 * math.log(own / degrees) for own in (NOTHING, max(least, degrees)))
-    rungs = [replace(optimum, height=start) if start >= 0.0 else Rung.of(legs, start, name, place)]
-    while len(rungs) < 40 and (
-        rungs[-1].height < top or rungs[-1].value > max(own.value for own in rungs) - 4.0
-    ):
-        rungs.append(Rung.of(legs, rungs[-1].height + math.log(3.0), name, place))
-    return tuple(rungs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +77,6 @@ class Posterior:
         log_likelihood: at the optimum.
         seen: the information of the logarithm of process noise's variance, of the first log.
         reason: why the search did not end at the optimum; empty where it did.
-        ladder: likelihoods at more process noise, of one log where it fell to nothing.
     """
 
     legs: tuple[Leg, ...]
@@ -108,7 +85,6 @@ class Posterior:
     log_likelihood: float
     seen: float
     reason: str
-    ladder: tuple[Rung, ...] = ()
 
     @property
     def converged(self) -> bool:
@@ -162,8 +138,6 @@ class Posterior:
     @cached_property
     def evidence(self) -> float:
         """The log-likelihood that process noise gains."""
-        if self.ladder:
-            return self.log_likelihood - self.ladder[0].value
         degrees = [float(leg.last.squares[0, 1]) for leg in self.legs if leg.last]
         if not degrees or max(degrees) <= NOTHING:
             return 0.0
@@ -204,23 +178,32 @@ class Posterior:
         return total * self.inflation
 
     def _widened(self, place: int, name: str, bare: Array) -> Array:
-        """The part that a level's uncertainty adds to the covariance (p, p)."""
-        leg = self.legs[place]
-        assert leg.last is not None
-        index = list(leg.model.disturbance.levels).index(name)
-        degrees = max(float(leg.last.squares[index, 1]), 1e-12)
-        if degrees > 1.0 and not self.ladder:
+        """The part that a level's uncertainty adds to the covariance (p, p).
+
+        Where the level is known to less than half, its rungs go by factors of 3 from one that
+        counts as nothing (degrees of freedom grow with its square at most) to an unlikely one.
+        """
+        last = self.legs[place].last
+        assert last is not None
+        index = list(self.legs[place].model.disturbance.levels).index(name)
+        degrees = max(float(last.squares[index, 1]), 1e-12)
+        if degrees > 1.0:
             up, down = (Rung.of(self.legs, sign * NUDGE, name, place) for sign in (1, -1))
             bend = -(up.value + down.value - 2.0 * self.log_likelihood) / NUDGE**2
             if bend > 4.0:  # a deviation of less than half: to second order
                 spread: Array = 0.5 * (up.covariance + down.covariance - 2.0 * bare)
                 return spread / NUDGE**2 / bend
-        ladder = self.ladder if name == LEVELS[0] else ()
-        optimum = Rung(0.0, self.log_likelihood, bare)
-        ladder = ladder or climbed_levels(self.legs, optimum, degrees, name, place)
-        likely = np.array([rung.value + 0.5 * rung.height for rung in ladder])
+        start = 0.5 * math.log(NOTHING / degrees)
+        rungs = [Rung(start, self.log_likelihood, bare)]
+        if start < 0.0:
+            rungs = [Rung.of(self.legs, start, name, place)]
+        while len(rungs) < 40 and (
+            rungs[-1].height < 0.0 or rungs[-1].value > max(own.value for own in rungs) - 4.0
+        ):
+            rungs.append(Rung.of(self.legs, rungs[-1].height + math.log(3.0), name, place))
+        likely = np.array([rung.value + 0.5 * rung.height for rung in rungs])
         weights = np.exp(likely - likely.max())
-        parts = (weight * rung.covariance for weight, rung in zip(weights, ladder, strict=True))
+        parts = (weight * rung.covariance for weight, rung in zip(weights, rungs, strict=True))
         result: Array = sum(parts) / weights.sum() - bare
         return result
 
@@ -314,35 +297,10 @@ def measure(
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
         legs, step, reason = climbed(legs, floors, hold, passes)
-        ladder = tuple[Rung, ...]() if reason else _above(legs, step, floors)
-        highest = max(ladder, key=lambda rung: rung.value, default=None)
-        if highest and highest.height > 0.0 and highest.value > step.reached + 10.0 * GAIN:
-            raised = tuple(leg.louder(highest.height) for leg in legs)
-            again, better, why = climbed(raised, floors, 0, passes)
-            if better.reached > step.reached:
-                before, after = (own[0].model.disturbance.acceleration for own in (legs, again))
-                fall, legs, step, reason = math.log(before / after), again, better, why
-                ladder = tuple(replace(rung, height=rung.height + fall) for rung in ladder)
     value = step.reached if math.isfinite(step.reached) else -math.inf
-    seen = step.levels[0]
-    return Posterior(
-        legs, step.names, step.information, value, float(seen[0, 0]) if seen.size else 0.0, reason,
-        ladder if len(records) == 1 else (),
-    )  # fmt: skip
-
-
-def _above(legs: tuple[Leg, ...], step: Step, floors: Sequence[Array]) -> tuple[Rung, ...]:
-    """Rungs of process noise that fell to nothing: the likelihood may have a maximum above."""
-    levels = [leg.model.disturbance.levels for leg in legs]
-    degrees = max(float(leg.last.squares[0, 1]) for leg in legs if leg.last)
-    exact = all(
-        min(level["position_noise"] / floor[1], level["velocity_noise"] / floor[2]) < 2.0
-        for level, floor in zip(levels, floors, strict=True)
-    )
-    if exact or legs[0].model.disturbance.processes or not 0.0 < degrees < 2.0:
-        return ()
-    optimum = Rung(0.0, step.reached, step.covariance)
-    return climbed_levels(legs, optimum, degrees, LEVELS[0], least=FAR)
+    known = step.levels[0]
+    seen = float(known[0, 0]) if known.size else 0.0
+    return Posterior(legs, step.names, step.information, value, seen, reason)
 
 
 def bound(logs: Sequence[FlightLog], models: Sequence[Model], states: Sequence[Array]) -> Array:

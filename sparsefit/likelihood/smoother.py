@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
@@ -28,7 +27,6 @@ SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise
 PASSES = 30  # at most, on few rows and on all
 GAIN = 0.005  # of the log-likelihood, that a last pass may still bring
-LIFTS = 2  # times that the search may start again with ten times the process noise
 NEGLIGIBLE = 0.01  # degrees of freedom that a level may take and count as zero
 GATE = 4.5  # deviations beyond which a reading is left out
 OUTLIERS = 0.2  # the largest share of readings that may be left out
@@ -143,7 +141,7 @@ def climbed(
         The logs at the optimum with their smoothed passes, the last step, and why the search did
         not converge; empty where it did.
     """
-    reason, halvings, lifts, fresh = "", 0, 0, True
+    reason, halvings, fresh = "", 0, True
     scouts = [LevelSteps(floor, hold) for floor in floors]
     history: list[float] = []
     best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
@@ -151,19 +149,10 @@ def climbed(
         step = Step.of(legs)
         fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
         if fallen or not math.isfinite(step.reached):
-            if best is not None and halvings < 4:
-                halvings += 1
-            elif lifts < LIFTS:
-                before = legs if best is None else [each.leg for each in best[0].passes]
-                legs = tuple(
-                    leg.at({LEVELS[0]: max(10.0 * leg.model.disturbance.acceleration, 0.01)})
-                    for leg in before
-                )
-                best, lifts, halvings, fresh = None, lifts + 1, 0, True
-                scouts = [LevelSteps(floor, hold) for floor in floors]
-            else:
+            if best is None or halvings == 4:
                 reason = "the likelihood cannot be raised from where the search started"
                 break
+            halvings += 1
         else:
             halvings, smoothed = 0, step.smoothed()
             sorted_out = zip(legs, smoothed, strict=True) if len(history) < SORTING else ()
@@ -181,10 +170,9 @@ def climbed(
             level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
             if not fresh and step.gain < enough and (gains < enough or level):
                 break
-        if best is not None:
-            legs = best[0].moved(best[1], 0.5**halvings, best[2])
-            if "latency" in legs[0].model.names:  # nodes move with it
-                legs = tuple(leg.again(leg.stride) for leg in legs)
+        legs = best[0].moved(best[1], 0.5**halvings, best[2])
+        if "latency" in legs[0].model.names:  # nodes move with it
+            legs = tuple(leg.again(leg.stride) for leg in legs)
     else:
         reason = f"not at the maximum after {most} passes"
     if best is None:

@@ -7,7 +7,6 @@ and what the way back reads of a block but the last is filtered once more when i
 from __future__ import annotations
 
 import importlib
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -59,13 +58,15 @@ class Leg:
         """
         longest = longest_step(log, model) * (1.0 + (stride > 1))
         nodes = Nodes.of(log, model.pattern.origin, longest, model.values["latency"], stride)
-        near = nodes.track() if path is None else _between(*path, nodes.time)
+        near = nodes.track()
+        if path is not None:
+            near = np.column_stack([np.interp(nodes.time, path[0], own) for own in path[1].T])
         return cls(log, model, nodes, _widened(near, model), None, stride)
 
     def again(self, stride: int) -> Leg:
         """The leg on the nodes of another stride, or of a latency that has moved."""
         leg = Leg.of(self.log, self.model, stride, (self.nodes.time, self.track))
-        if not np.array_equal(leg.nodes.rows, self.nodes.rows):
+        if not np.array_equal(leg.nodes.seen, self.nodes.seen):
             return leg
         nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
         return replace(leg, nodes=nodes, last=self.last)
@@ -78,10 +79,6 @@ class Leg:
     def with_model(self, model: Model) -> Leg:
         """The leg under another model of the same flow, what is new of its state about 0."""
         return replace(self, model=model, track=_widened(self.track, model), last=None)
-
-    def louder(self, height: float, name: str = "acceleration") -> Leg:
-        """The leg with a level times exp(height)."""
-        return self.at({name: self.model.disturbance.levels[name] * math.exp(height)})
 
     def forward(self, names: Sequence[str], *, keep: bool = True) -> Pass:
         """Filter the log; keep: whether a backward pass follows.
@@ -165,18 +162,3 @@ def _widened(track: Array, model: Model) -> Array:
     """A track (m, n) with the states of a model, new ones 0."""
     states = 4 + len(model.space().walkers)
     return np.pad(track[:, :states], ((0, 0), (0, max(states - track.shape[1], 0))))
-
-
-def _between(old: Array, track: Array, new: Array) -> Array:
-    """A track (m, n) at other times, by cubics through values and slopes; straight beyond it."""
-    slope = np.gradient(track, old, axis=0)
-    slope[:, :2] = track[:, 2:4]
-    inside = np.clip(new, old[0], old[-1])
-    first = np.clip(np.searchsorted(old, inside, side="right") - 1, 0, len(old) - 2)
-    step = (old[first + 1] - old[first])[:, None]
-    u = (inside - old[first])[:, None] / step
-    start, end = track[first], track[first + 1]
-    leaving, coming = step * slope[first] - (end - start), (end - start) - step * slope[first + 1]
-    between: Array = start + u * (end - start) + u * (1.0 - u) * ((1.0 - u) * leaving + u * coming)
-    between[:, :2] += (new - inside)[:, None] * between[:, 2:4]
-    return between

@@ -53,7 +53,7 @@ class Board:
 
     def __init__(self, settings: BoardSettings) -> None:
         self.settings = settings
-        self.samples = self.restarts = self.suspects = 0
+        self.samples = self.suspects = 0
         self.time_ns = self.suspect_ns = 0
         self.sweep = Sweep(settings)
         self.step = self.counted = 0.0
@@ -132,7 +132,7 @@ class Board:
     def _resume(self, z: Array) -> None:
         """Go on after a gap or from another clock: place and velocity are measured anew."""
         away = z[:2] - self.anchor
-        self.history, self.sweep.block, self.restarts = [], [], self.restarts + 1
+        self.history, self.sweep.block = [], []
         if self.following:
             self._settle(away, z)
         self.anchor = z[:2].copy()
@@ -312,9 +312,10 @@ class Board:
             doubt = BoardDoubt.IMPRECISE
         elif not settings.lower <= value[LENGTH] <= settings.upper:
             doubt = BoardDoubt.EDGE
-        tests = innovation, correlation, float(weight @ LEVELS), unexplained
         whole = np.concatenate([flow, self.anchor + self.origin])
-        return BoardAnswer(doubt, self.samples, value, error, *tests, flow=whole)
+        return BoardAnswer(
+            doubt, self.samples, value, error, innovation, correlation, unexplained, flow=whole
+        )
 
 
 def board_of(settings: BoardSettings, *, compiled: bool = True) -> Any:

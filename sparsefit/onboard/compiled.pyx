@@ -23,10 +23,10 @@ cdef extern from "sf_flow.h":
         uint32_t samples
         sf_real mean_velocity, length_scale, timescale, heading
         sf_real mean_velocity_error, length_scale_error, timescale_error, heading_error
-        sf_real innovation, correlation, disturbance, unexplained, rival
+        sf_real innovation, correlation, unexplained, rival
         sf_real flow[8]
     ctypedef struct sf_flow:
-        uint32_t samples, restarts, following
+        uint32_t samples, following
     sf_status sf_init(sf_flow *flow, const sf_config *config)
     sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real *position,
                         const sf_real *velocity, const sf_real *measured)
@@ -61,13 +61,8 @@ cdef class CompiledFlow:
         sf_estimate(&self.flow, &a)
         value = np.array([a.mean_velocity, a.length_scale, a.timescale, a.heading])
         error = np.array([a.mean_velocity_error, a.length_scale_error, a.timescale_error, a.heading_error])
-        tests = a.innovation, a.correlation, a.disturbance, a.unexplained, a.rival
+        tests = a.innovation, a.correlation, a.unexplained, a.rival
         return BoardAnswer(BoardDoubt(a.doubt), a.samples, value, error, *tests, np.array(a.flow))
-
-    @property
-    def restarts(self):
-        """The number of gaps and of clocks that were set."""
-        return self.flow.restarts
 
     @property
     def following(self):

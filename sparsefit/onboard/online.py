@@ -135,8 +135,8 @@ class OnlineEstimator:
         """Take one sample: time [s], position (x, y) [m] and velocity (vx, vy) [m/s].
 
         A step of more than 20 mean steps, or one back in time, is out of line: the sample is left
-        out, and if the next one goes on from it, the clock was set: that one is taken, `restarts`
-        counts it, and the flow that was followed stays.
+        out, and if the next one goes on from it, the clock was set: that one is taken, and the
+        flow that was followed stays.
 
         Args:
             time: of the sample [s].
@@ -177,11 +177,6 @@ class OnlineEstimator:
     def samples(self) -> int:
         """The number of samples taken."""
         return self._count
-
-    @property
-    def restarts(self) -> int:
-        """The number of gaps and of clocks that were set."""
-        return int(self._board.restarts)
 
     @property
     def answer(self) -> BoardAnswer:

@@ -82,7 +82,6 @@ class BoardAnswer:
         error: their standard errors (4,).
         innovation: mean square of the normalised innovations.
         correlation: their mean product from one sample to the next.
-        disturbance: its level, over U0.
         unexplained: share of the averaged flow velocity's squares that the flow leaves.
         rival: L of the rival [m], where that is the doubt.
         flow: a, b, a, b, kx, ky, and the place that phases count from [m], (8,).
@@ -94,7 +93,6 @@ class BoardAnswer:
     error: Array
     innovation: float = 0.0
     correlation: float = 0.0
-    disturbance: float = 0.0
     unexplained: float = 0.0
     rival: float = 0.0
     flow: Array = field(default_factory=lambda: np.zeros(8))

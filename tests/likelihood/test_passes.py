@@ -38,8 +38,7 @@ def odd_nodes(count=40, states=9, seed=3):
     track = rng.normal(size=(count, states)) * [2, 2, 3, 3, *[0.3] * (states - 4)]
     measured = track[:, :4] + 0.1 * rng.normal(size=(count, 4))
     weights = np.where(rng.uniform(size=(count, 4)) < 0.2, 0.0, rng.uniform(0.5, 1.0, (count, 4)))
-    rows = np.zeros((count, 2), dtype=np.intp)
-    return Nodes(time, push, measured, weights, rows, weights > 0.0), track
+    return Nodes(time, push, measured, weights, weights > 0.0), track
 
 
 def test_steps_and_readings_have_the_derivatives_of_finite_differences():

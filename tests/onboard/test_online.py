@@ -155,7 +155,7 @@ def test_bad_samples_are_refused_and_change_nothing(flight):
             online.update(*sample)
     assert str(online.estimate()) == before
     fed(online, flight, 400)  # and none of it deafens
-    assert (online.restarts, online.estimate().status) == (0, "ok")
+    assert online.estimate().status == "ok"
     online.restart()
     assert online.samples == 0
 

@@ -764,7 +764,6 @@ static void resume(sf_flow *flow, const sf_real z[4])
     const sf_real away[2] = {z[0] - flow->anchor[0], z[1] - flow->anchor[1]};
     uint32_t level;
     flow->recent = 0;
-    flow->restarts++;
     memset(flow->block, 0, sizeof flow->block);
     for (level = 0; flow->following && (level < SF_LEVELS); level++) {
         settle(flow, &flow->filter[level], level, away, z);
@@ -788,10 +787,11 @@ sf_status sf_init(sf_flow *flow, const sf_config *config)
         return SF_BAD_ARGUMENT;
     }
     flow->config = *config;
-    flow->ready = 1;
     flow->doubt = SF_FEW_SAMPLES;
     return SF_OK;
 }
+
+static int begun(const sf_flow *flow) { return flow->config.candidates > 0u; }
 
 static sf_real seconds(uint64_t from, uint64_t to)
 {
@@ -804,11 +804,8 @@ sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real position[2],
     sf_real z[4], push[2], h;
     sf_status status = SF_OK;
     uint32_t i;
-    if ((flow == NULL) || (position == NULL) || (velocity == NULL)) {
+    if ((flow == NULL) || (position == NULL) || (velocity == NULL) || !begun(flow)) {
         return SF_BAD_ARGUMENT;
-    }
-    if (!flow->ready) {
-        return SF_NOT_READY;
     }
     for (i = 0; i < 4u; i++) {
         z[i] = i < 2u ? position[i] : velocity[i - 2u];
@@ -881,7 +878,6 @@ static void mixture(const sf_flow *flow, sf_real p[M], sf_real covariance[M][M],
         share[level] /= sum;
         answer->innovation += share[level] * filter->square;
         answer->correlation += share[level] * filter->product;
-        answer->disturbance += share[level] * LEVEL[level];
         for (i = 0; i < M; i++) {
             p[i] += share[level] * filter->state[FLOW + i];
             for (j = 0; j < M; j++) {
@@ -902,15 +898,15 @@ sf_status sf_estimate(const sf_flow *flow, sf_answer *answer)
     sf_real p[M], covariance[M][M], gain[M], value[FEATURES], by[FEATURES][M], error[4];
     sf_real uneven, spread, least;
     uint32_t i, j;
-    if ((flow == NULL) || (answer == NULL)) {
+    if ((flow == NULL) || (answer == NULL) || !begun(flow)) {
         return SF_BAD_ARGUMENT;
     }
     memset(answer, 0, sizeof *answer);
     answer->mean_velocity = answer->length_scale = answer->timescale = answer->heading = R(NAN);
-    answer->status = flow->ready ? SF_UNIDENTIFIABLE : SF_NOT_READY;
+    answer->status = SF_UNIDENTIFIABLE;
     answer->samples = flow->samples;
     answer->doubt = (sf_doubt)flow->doubt;
-    if (!flow->ready || !flow->following) {
+    if (!flow->following) {
         answer->rival = flow->doubt == SF_RIVAL ? flow->rival : 0;
         return answer->status;
     }

@@ -51,8 +51,7 @@ typedef enum {
     SF_GAP = 3,            /* the sample was taken; the clock or the place went on from another one */
     SF_BAD_SAMPLE = 4,     /* NaN, infinite or absurdly large: left out */
     SF_BAD_TIME = 5,       /* out of line with the samples before: left out, the next one decides */
-    SF_BAD_ARGUMENT = 6,   /* a null pointer, or a setting out of its range */
-    SF_NOT_READY = 7       /* sf_init has not been called, or has failed */
+    SF_BAD_ARGUMENT = 6    /* a null pointer, a setting out of its range, or no sf_init before */
 } sf_status;
 
 typedef enum {
@@ -96,7 +95,6 @@ typedef struct {
     sf_real heading_error;
     sf_real innovation;           /* mean square of the normalised innovations, 1 of a right model */
     sf_real correlation;          /* their covariance from one sample to the next, 0 of a right model */
-    sf_real disturbance;          /* its level, over U0 */
     sf_real unexplained;          /* share of the averaged flow velocity's squares */
     sf_real rival;                /* L of the rival [m], where that is the doubt */
     sf_real flow[8];              /* a, b, a, b, kx, ky, and the place that phases count from [m] */
@@ -131,9 +129,7 @@ typedef struct {
     sf_config config;
     uint64_t time_ns;
     uint64_t suspect_ns;
-    uint32_t ready;
     uint32_t samples;
-    uint32_t restarts;
     uint32_t suspects;
     uint32_t following;
     uint32_t doubt;
