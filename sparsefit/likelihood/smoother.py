@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
@@ -26,6 +27,7 @@ from sparsefit.likelihood.trellis import Leg, Pass
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise
 PASSES = 30  # at most, on few rows and on all
+LIFTS = 2  # times that the search may start again with ten times the process noise
 GAIN = 0.005  # of the log-likelihood, that a last pass may still bring
 NEGLIGIBLE = 0.01  # degrees of freedom that a level may take and count as zero
 GATE = 4.5  # deviations beyond which a reading is left out
@@ -141,7 +143,7 @@ def climbed(
         The logs at the optimum with their smoothed passes, the last step, and why the search did
         not converge; empty where it did.
     """
-    reason, halvings, fresh = "", 0, True
+    reason, halvings, lifts, fresh = "", 0, 0, True
     scouts = [LevelSteps(floor, hold) for floor in floors]
     history: list[float] = []
     best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
@@ -149,10 +151,18 @@ def climbed(
         step = Step.of(legs)
         fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
         if fallen or not math.isfinite(step.reached):
-            if best is None or halvings == 4:
+            if best is not None and halvings < 4:
+                halvings += 1
+            elif lifts < LIFTS:
+                before = legs if best is None else [each.leg for each in best[0].passes]
+                levels = (10.0 * leg.model.disturbance.acceleration for leg in before)
+                pairs = zip(before, levels, strict=True)
+                legs = tuple(leg.at({LEVELS[0]: max(level, 0.01)}) for leg, level in pairs)
+                best, lifts, halvings, fresh = None, lifts + 1, 0, True
+                scouts = [LevelSteps(floor, hold) for floor in floors]
+            else:
                 reason = "the likelihood cannot be raised from where the search started"
                 break
-            halvings += 1
         else:
             halvings, smoothed = 0, step.smoothed()
             sorted_out = zip(legs, smoothed, strict=True) if len(history) < SORTING else ()
@@ -170,9 +180,10 @@ def climbed(
             level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
             if not fresh and step.gain < enough and (gains < enough or level):
                 break
-        legs = best[0].moved(best[1], 0.5**halvings, best[2])
-        if "latency" in legs[0].model.names:  # nodes move with it
-            legs = tuple(leg.again(leg.stride) for leg in legs)
+        if best is not None:
+            legs = best[0].moved(best[1], 0.5**halvings, best[2])
+            if "latency" in legs[0].model.names:  # nodes move with it
+                legs = tuple(leg.again(leg.stride) for leg in legs)
     else:
         reason = f"not at the maximum after {most} passes"
     if best is None:
