@@ -147,7 +147,7 @@ class Path(Brief):
         lines = axes.lines[-frame.shape[1] :][:10]
         if doubtful:
             lines += axes.plot(doubtful, np.zeros(len(doubtful)), "kx", label="not certified")
-        axes.legend(handles=lines, fontsize="small", frameon=False)
+        axes.legend(handles=lines, fontsize="small")
         axes.invert_xaxis()
         axes.set_xlabel(r"$\alpha / \alpha_\mathrm{max}$")
         axes.set_ylabel("weight, column of unit rms")
