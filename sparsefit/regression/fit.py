@@ -151,10 +151,8 @@ def certificate_of(
     with np.errstate(all="ignore"):  # weights of any size: what overflows is no fixed point
         following = np.asarray(backend.next_weights(problem, weights.copy()), dtype=float)
         if following.shape != weights.shape:
-            raise InputError(
-                f"back-end {backend.name!r}: next_weights gives weights of shape "
-                f"{following.shape}, not {weights.shape}"
-            )
+            words = f"next_weights gives weights of shape {following.shape}, not {weights.shape}"
+            raise InputError(f"back-end {backend.name!r}: {words}")
         moved = problem.design.raw_predict(following - weights)
         share = float(np.linalg.norm(moved)) / (size or 1.0)
     changed = int(np.sum((following != 0) != (weights != 0)))

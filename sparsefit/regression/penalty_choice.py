@@ -55,12 +55,13 @@ def choose_penalty(
     selection: Selection = getattr(backend, "selection", "cross-validation")
     if not np.isfinite(weights).all(axis=(1, 2)).any():
         return PenaltyChoice(selection, np.full(len(weights), np.nan), 0)
-    choose = cross_validation if selection == "cross-validation" else information_criterion
-    return choose(problem, backend, weights)
+    if selection == "bic":
+        return information_criterion(problem, backend.penalty(problem), weights)
+    return cross_validation(problem, backend, weights)
 
 
 def information_criterion(
-    problem: RegressionProblem, backend: PathBackend, weights: Array
+    problem: RegressionProblem, penalty: Penalty, weights: Array
 ) -> PenaltyChoice:
     """The least m' sum_t log RSS_t + log(m') df (Schwarz 1978).
 
@@ -78,7 +79,6 @@ def information_criterion(
     size = float(problem.samples)
     if problem.sample_count is None:  # rows that mix samples say nothing of their order
         size = effective_samples(residuals[:, solved[-1]])
-    penalty = backend.penalty(problem)
     alphas = problem.alpha_max(penalty) * np.array(FRACTIONS)
     criterion = np.full(points, np.nan)
     for i in solved:

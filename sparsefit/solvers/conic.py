@@ -186,7 +186,8 @@ class Cvxpy:
 
     def __post_init__(self) -> None:
         if self.name not in installed_solvers():
-            raise MissingExtra(f"{self.name} is not installed: pip install {self.name}")
+            extra = "'sparsefit[peers]'" if self.name in ("piqp", "daqp") else self.name
+            raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
 
     def takes(self, penalty: Penalty) -> str:
         """Every penalty with a conic form; solvers of quadratic programs take no group norms."""

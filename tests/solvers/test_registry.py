@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+import sparsefit as sf
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.regression.backend import plugins
 from sparsefit.regression.design import Design
@@ -184,3 +185,14 @@ def test_a_command_is_ended_at_its_limits(words, limits, reason):
     command = Recipe("theirs", command=("sh", "-c", words), limit=limit, start=start).make()
     with pytest.raises(LateError, match=reason):
         answers(command, problem(), lasso_penalty(6), (1.0,))
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("celer", r"'sparsefit\[peers\]'"), ("piqp", r"'sparsefit\[peers\]'"), ("gurobi", "gurobi")],
+)
+def test_a_fit_by_what_is_missing_names_the_extra_that_brings_it(name, remedy, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda module: module == "cvxpy" or None)
+    monkeypatch.setattr("sparsefit.solvers.conic.installed_solvers", lambda: ["clarabel"])
+    with pytest.raises(MissingExtra, match=f"{name} is not installed: pip install {remedy}"):
+        sf.fit(np.eye(3), np.ones(3), "lasso", solver=name)
