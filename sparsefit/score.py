@@ -57,42 +57,14 @@ def _percent(estimated: float, true: float) -> float:
 
 @dataclass(frozen=True)
 class ScalesScore:
-    """Which scales of the true flow an estimate detected, and how far off it is there.
+    """Which scales of the true flow an estimate detected, and how far off it is there."""
 
-    true, found: the number of scales of the flow and of the estimate. length_scale_errors,
-    mean_velocity_errors: signed, in percent of the truth, one per detected scale in the order of
-    the flow's cells.
-    """
-
-    true: int
-    found: int
-    length_scale_errors: tuple[float, ...]
-    mean_velocity_errors: tuple[float, ...]
-
-    @property
-    def detected(self) -> int:
-        """The number of scales of the truth with an estimate within the tolerance."""
-        return len(self.length_scale_errors)
-
-    @property
-    def missed(self) -> int:
-        """The number of scales of the truth without one."""
-        return self.true - self.detected
-
-    @property
-    def spurious(self) -> int:
-        """The number of estimated scales that belong to none of the truth."""
-        return self.found - self.detected
-
-    @property
-    def max_length_scale_error(self) -> float:
-        """Largest |error| of L over the detected scales [%]; NaN where there is none."""
-        return max(map(abs, self.length_scale_errors), default=math.nan)
-
-    @property
-    def max_mean_velocity_error(self) -> float:
-        """Largest |error| of U0 over the detected scales [%]; NaN where there is none."""
-        return max(map(abs, self.mean_velocity_errors), default=math.nan)
+    true: int  # scales of the flow
+    detected: int  # those with an estimate within the tolerance
+    missed: int  # those without one
+    spurious: int  # estimated scales that belong to none of the truth
+    max_length_scale_error: float  # largest |error| of L over the detected [%]; NaN without any
+    max_mean_velocity_error: float  # likewise of U0
 
     def within(self, percent: float) -> bool:
         """Whether every scale of the truth was detected, its L within so many percent."""
@@ -121,10 +93,13 @@ def score_scales(
     for distance, i, j in pairs:
         if distance <= tolerance and i not in match and j not in match.values():
             match[i] = j
-    matched = [(scales[j], flow.cells[i]) for i, j in sorted(match.items())]
-    lengths = (_percent(own.length_scale, truth.length_scale) for own, truth in matched)
-    speeds = (_percent(own.mean_velocity, truth.mean_velocity) for own, truth in matched)
-    return ScalesScore(len(flow.cells), len(scales), tuple(lengths), tuple(speeds))
+    matched = [(scales[j], flow.cells[i]) for i, j in match.items()]
+    off = [_percent(own.length_scale, truth.length_scale) for own, truth in matched]
+    fast = [_percent(own.mean_velocity, truth.mean_velocity) for own, truth in matched]
+    largest = (max(map(abs, errors), default=math.nan) for errors in (off, fast))
+    count = len(match)
+    true, missed, spurious = len(flow.cells), len(flow.cells) - count, len(scales) - count
+    return ScalesScore(true, count, missed, spurious, *largest)
 
 
 def prediction_error(flow: FlowField | None, flights: Sequence[Flight]) -> float:
