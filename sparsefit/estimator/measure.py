@@ -254,13 +254,16 @@ def measure_flow(
     slight = refitted and not of_flow and _apart(posterior, diagnosis.posterior) < SLIGHT
     if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
-    rivals = [
-        rival
-        for loose, there, rival in others
-        if not loose
-        and there.bic - first.bic < CLOSE
-        and min(_apart(own, there) for own in (first, diagnosis.posterior)) > APART
-    ]
+    rivals, walks = list[Proposal](), diagnosis.posterior.model.disturbance.processes
+    for loose, there, rival in others:
+        near_both = min(_apart(own, there) for own in (first, diagnosis.posterior)) <= APART
+        if loose or near_both or there.bic - first.bic >= CLOSE:
+            continue
+        beside: Posterior | None = there
+        if len(walks) == 1 and not diagnosis.suspects:  # both in turbulence
+            beside = fitted(logs, with_process(there.models, walks[0]), there)
+        if beside and (beside is there or beside.bic - diagnosis.posterior.bic < CLOSE):
+            rivals.append(rival)
     goodness = Goodness.of(posterior, diagnosis)
     excess += 2 * (diagnosis.posterior.log_likelihood - first.log_likelihood)
     excess -= 4 * (len(diagnosis.posterior.names) - len(first.names))
