@@ -83,7 +83,7 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
     if endings:
         one_of("file type", file.suffix.lower() or file.name, endings)
     if not file.parent.is_dir():
-        raise InputError(f"cannot write {path}: there is no folder {file.parent}; make it first")
+        raise InputError(f"cannot write {path}: {file.parent} is no folder; make it first")
     if os.path.lexists(path) and not force:
         raise InputError(f"{path} exists; add --force or choose another name")
 
@@ -114,11 +114,12 @@ def terminal_width() -> int:
 class Progress:
     """Progress on stderr: one line that changes on a terminal, elsewhere one every five seconds."""
 
-    _last = float("-inf")
+    def __init__(self, what: str = "cases") -> None:
+        self._what, self._last = what, float("-inf")
 
     def __call__(self, done: int, planned: int, left: float | None) -> None:
-        """Tell that `done` of `planned` cases are finished, with the seconds left where known."""
-        line = f"{done}/{planned} cases, {100 * done // max(planned, 1)} %"
+        """Tell that `done` of `planned` are finished, with the seconds left where known."""
+        line = f"{done}/{planned} {self._what}, {100 * done // max(planned, 1)} %"
         if done < planned and left is not None:
             line += f", about {duration(left)} left"
         now = time.monotonic()

@@ -6,9 +6,10 @@ import argparse
 from typing import Any
 
 from sparsefit.cli.options import SETTING, Option, Verbs, verb
-from sparsefit.cli.terminal import Reply, duration, proof, typed
+from sparsefit.cli.terminal import Reply
 from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
 
+ANSWER = ("status", "reason", "settings", "certificate", "seconds", "mean_velocity", "length_scale")
 ABOUT = """List the back-ends with their settings, or check that one works.
 
 example:
@@ -89,12 +90,11 @@ def run_check(args: argparse.Namespace) -> Reply:
         except InputError as error:
             named = "" if args.name in str(error) else f"back-end {args.name!r} "
             raise InputError(f"{named}{error}") from None
-    lines = record.pop("lines")
-    return Reply(record, lines, int(record["status"] != "ok" or bool(record["faults"])))
+    return Reply(record, None, int(record["status"] != "ok" or bool(record["faults"])))
 
 
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
-    """The answer of the back-end on a small flight, as JSON and in lines."""
+    """The answer of the back-end on a small flight, JSON-ready."""
     import sparsefit as sf
     from sparsefit.solvers.contract import faults
 
@@ -105,21 +105,12 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     estimator = sf.Estimator(library=library, backend=backend)
     prepared = estimator.prepare(flight)
     wrong = [] if name in sf.backends.BACKENDS else faults(backend, prepared.problem)
-    faulty = [f"  fault: {sentence}" for sentence in wrong]
+    record = {"status": "error", "reason": "it breaks the contract of a back-end"}
     try:
-        estimate = estimator.read(prepared, estimator.fit(prepared))
+        record = estimator.read(prepared, estimator.fit(prepared)).to_dict()
     except Exception:  # whatever it raises: where a fault is known, that says it better
         if not wrong:
             raise
-        head = f"{name}: error, it breaks the contract of a back-end"
-        return {"backend": name, "status": "error", "faults": wrong, "lines": [head, *faulty]}
-    reason = f" ({estimate.reason})" if estimate.reason else ""
-    lines = [
-        f"{name}: {estimate.status}{reason}, certificate {proof(estimate.certificate)}, "
-        f"{duration(estimate.seconds)}",
-        f"  settings: {typed(estimate.settings) or 'none'}",
-        f"  estimate: {estimate.mean_velocity:.2f} m/s, {estimate.length_scale:.2f} m "
-        f"(truth: {truth.mean_velocity:.2f} m/s, {truth.length_scale:.2f} m)",
-        *faulty,
-    ]
-    return {**estimate.to_dict(), "faults": wrong, "lines": lines}
+    answer = {key: record[key] for key in ANSWER if key in record}
+    true = {"true_mean_velocity": truth.mean_velocity, "true_length_scale": truth.length_scale}
+    return {"backend": name, **answer, **true, "faults": wrong}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
@@ -65,11 +64,8 @@ def run(args: argparse.Namespace) -> Reply:
         untimed = rule.changed(max_latency_p99=None, max_memory=None)
         trials = [scored.candidate for scored in select(flown, untimed, latencies={}).passing]
         flights, again = rule.latency_flights, args.measure_again
-
-        def announce(done: int, planned: int, left: float | None) -> None:
-            print(f"timing candidate {done + 1} of {planned}", file=sys.stderr)
-
-        latencies = flown.latency(trials, flights, again=again, progress=announce)
+        with Progress("candidates timed") as progress:
+            latencies = flown.latency(trials, flights, again=again, progress=progress)
     selection = select(flown, rule, latencies=latencies, refusals=refused)
     chosen, checked = selection.chosen, None
     if chosen is not None and rule.check and of_flights:
