@@ -102,7 +102,7 @@ def test_the_log_is_told_before_the_estimate(capsys):
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
     assert "a.png exists; add --force" in refused(capsys, "flight.csv", "--plot", "a.png")
     assert "(known: .png, .svg, .pdf)" in refused(capsys, "flight.csv", "--plot", "a.jpg")
-    assert "there is no folder no" in refused(capsys, "flight.csv", "--plot", "no/a.png")
+    assert "no is no folder; make it" in refused(capsys, "flight.csv", "--plot", "no/a.png")
 
 
 def test_a_bad_log_is_refused_by_name_before_any_work(capsys, monkeypatch, flight):
