@@ -15,7 +15,7 @@ from sparsefit.codec import finite_or_none
 from sparsefit.plot.style import GREY, logarithmic, styled, wrapped
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import factors
-from sparsefit.study.page import Code, drawing, joined, picture_files, table_files, to_html
+from sparsefit.study.page import Code, drawing, files_of, joined, to_html
 from sparsefit.study.panels import Curve, Panel, drawn
 from sparsefit.study.selection import Check, Selection, headline, lines, verdict
 from sparsefit.study.table import Column, Row, Table
@@ -156,7 +156,7 @@ def write_selection(
     """Write the tables and pictures of a selection, evidence.html and evidence.md, the last."""
     said, made, picture = list(lines(selection, check)), tables(selection), pareto(selection)
     answer, title = headline(selection), f"{study.name}: the selection"
-    files = {**table_files(study.name, made), **picture_files({"pareto": picture})}
+    files = files_of(study.name, made, {"pareto": picture})
     sections: dict[str, Sequence[Any]] = {
         "Why": [said],
         "Candidates": [made["selection"]],
@@ -170,6 +170,6 @@ def write_selection(
             "\n".join(f"- {line}" for line in said), image, made["selection"].to_markdown(12),
             "Tables: [selection.csv](selection.csv), [regimes.csv](regimes.csv). Written by "
             "`sparsefit select`; do not edit."]  # fmt: skip
-    page = to_html(title, study.question, [answer], sections).encode()
+    page = to_html(title, study.question, answer, sections).encode()
     files |= {"evidence.html": page, "evidence.md": joined(text)}
     return write_files(folder or study.folder, files)

@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
@@ -30,6 +30,9 @@ from sparsefit.whole_file import write_files, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+Files: TypeAlias = dict[str, bytes]  # by name
 
 
 class Drawing(NamedTuple):
@@ -52,7 +55,7 @@ class Code(NamedTuple):
     code: str
 
 
-def to_html(name: str, question: str, answers: Sequence[str],
+def to_html(name: str, question: str, answer: str,
             sections: Mapping[str, Sequence[Any]], progress: str = "") -> str:  # fmt: skip
     """Return one HTML file that opens offline: tables sort and filter, lines hide and show.
 
@@ -67,7 +70,7 @@ def to_html(name: str, question: str, answers: Sequence[str],
     script = (here / "page.js").read_text(encoding="utf-8")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     shown = {title: parts for title, parts in sections.items() if parts}
-    return template.render(name=name, question=question, answers=answers, sections=shown,
+    return template.render(name=name, question=question, answer=answer, sections=shown,
                            progress=progress, script=script, digest=digest, most=500)  # fmt: skip
 
 
@@ -158,22 +161,19 @@ def show(study: Any, cases: pd.DataFrame, *, width: int) -> str:
     return "\n".join([*said, "", *(each.to_text(width) for each in made.values())])
 
 
-def table_files(study: str, made: Mapping[str, Table]) -> dict[str, bytes]:
-    """Return every table as NAME.csv and NAME.tex."""
-    files = {f"{name}.csv": each.to_csv() for name, each in made.items()}
-    files |= {f"{name}.tex": each.to_latex(f"tab:{study}-{name}") for name, each in made.items()}
-    return {name: files[name].encode() for name in sorted(files)}
-
-
-def picture_files(pictures: Mapping[str, Picture]) -> dict[str, bytes]:
-    """Return every picture as NAME.svg and NAME.png; a large SVG is left out of a repository."""
-    files = {}
+def files_of(study: str, made: Mapping[str, Table], pictures: Mapping[str, Picture]) -> Files:
+    """Return every table as NAME.csv and .tex, every picture as NAME.svg, if small, and .png."""
+    files: Files = {}
+    for name, each in made.items():
+        files[f"{name}.csv"] = each.to_csv().encode()
+        files[f"{name}.tex"] = each.to_latex(f"tab:{study}-{name}").encode()
     for name, picture in pictures.items():
         if picture.figure is not None:
-            vector = encoded(picture.figure, ".svg", name)
-            if len(vector) <= 1_000_000:
-                files[f"{name}.svg"] = vector
-            files[f"{name}.png"] = encoded(picture.figure, ".png")
+            files |= {
+                f"{name}{end}": encoded(picture.figure, end, name) for end in (".svg", ".png")
+            }
+            if len(files[f"{name}.svg"]) > 1_000_000:  # too large for a repository
+                del files[f"{name}.svg"]
     return files
 
 
@@ -190,7 +190,7 @@ def write(study: Any) -> list[Path]:
     """
     cases = study.cases
     made, pictures = tables.tables(study, cases), figures.figures(study, cases)
-    files = {**table_files(study.name, made), **picture_files(pictures)}
+    files = files_of(study.name, made, pictures)
     answer, state = headline(study, cases), progress(study, cases)
     steady = [each for each in made.values() if "objective" in cases or not each.varies]
     run: list[Code | Table] = [
@@ -210,7 +210,7 @@ def write(study: Any) -> list[Path]:
         "Times": [each for each in made.values() if each not in steady],
         "This run": run,
     }  # fmt: skip
-    page = to_html(study.name, study.question, [answer], sections, state)
+    page = to_html(study.name, study.question, answer, sections, state)
     files |= {"report.html": page.encode()}
     files["README.md"] = readme(study, [answer, state], made, pictures, files)
     return write_files(study.folder, files)
