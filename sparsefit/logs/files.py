@@ -36,9 +36,9 @@ def read_flight(
     vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; ``ax, ay`` [m/s^2],
     what the propulsion was measured to push; others are ignored. Without ``vx`` and ``vy`` it has
     positions only. The vehicle: ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in
-    CSV (0 where one is not given), ``drag``, ``thrust_scale``, and ``frame`` (``ENU`` or ``NED``);
-    ``mean_velocity`` and ``length_scale`` of the paper's cells, where the true flow is known; the
-    same keys in the metadata of Parquet.
+    CSV (0 where one is not given) and the others of `sparsefit.logs.flight_table`, ``frame``
+    (``ENU`` or ``NED``) among them; ``mean_velocity`` and ``length_scale`` of the paper's cells,
+    where the true flow is known; the same keys in the metadata of Parquet.
 
     Args:
         path: the file.
