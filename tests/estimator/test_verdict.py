@@ -11,10 +11,6 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.estimator import Doubt
-from sparsefit.estimator.measure import measure_flow
-from sparsefit.likelihood.diagnosis import fitted
-from sparsefit.likelihood.nodes import FlightLog
-from sparsefit.model import Start, propose
 from tests.problems import VEHICLE, fly, part
 from tests.worlds import GROUPS, draw
 
@@ -234,30 +230,12 @@ def test_a_mean_velocity_that_grows_is_a_misfit_with_its_rate():
     assert 0.0 < low < 0.08 < high
 
 
-@pytest.mark.parametrize(
-    ("name", "seed", "number", "cause"),
-    [("lag 0.03", 61001, 1, "lag"), ("mass 0.8", 71011, 1, "mass")],
-)
-def test_a_cause_that_is_freed_leaves_the_flow_as_sure_as_it_is(name, seed, number, cause):
-    """A lag to first order, whose second is 38 % of it; a mass that is known at the start."""
-    world = next(own for own in GROUPS["vehicle"] if own.name == name)
-    ((flight, truth),) = draw(world, number + 1, seed, first=number)
+def test_a_lag_is_as_sure_as_its_first_order():
+    """Of one of 33 ms in a response time of 125 ms the second order is 38 % of the first."""
+    world = next(own for own in GROUPS["vehicle"] if own.name == "lag 0.03")
+    ((flight, truth),) = draw(world, 2, 61001, first=1)
     estimate = sf.Estimator(free="auto").estimate(flight)
-    assert (estimate.status, estimate.freed) == ("ok", (cause,))
+    assert estimate.freed == ("lag",)
     low, high = estimate.uncertainty.mean_velocity_interval
     assert low < truth.mean_velocity < high
     assert high - low < 0.05 * truth.mean_velocity
-
-
-def test_an_answer_is_at_the_maximum_of_its_likelihood():
-    """After the passes of a search 25 of log L were missing, and intervals were of no maximum."""
-    world = next(own for own in GROUPS["turbulence30"] if own.name == "30 % anisotropic")
-    ((flight, _),) = draw(world, 2, 71012, first=1)
-    logs = [FlightLog.of_flight(flight)]
-    estimator = sf.Estimator(readout=sf.Readout(precision=0.15))
-    prepared = estimator.prepare(flight)
-    proposals = propose(prepared.search, Start())
-    measured = measure_flow(prepared, proposals, (), shapes=True)
-    assert measured.posterior.converged
-    again = fitted(logs, measured.posterior.models, measured.posterior)
-    assert again.log_likelihood < measured.posterior.log_likelihood + 0.1

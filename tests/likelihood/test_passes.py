@@ -127,6 +127,18 @@ def velocity(pattern, x, y, t=0.0):
     return reference.force(elements, at[:, None], time, np.zeros((2, 1)))[:, 0]
 
 
+def test_a_mass_is_that_of_the_believed_vehicle_at_the_start_of_the_log():
+    rng = np.random.default_rng(2)
+    elements = np.repeat(odd_model().elements[:, None], 2, axis=1)
+    still = np.where(np.arange(len(elements)) == list(ELEMENTS).index("mass_rate"), 0.0, 1.0)
+    state, push, time = rng.normal(size=(4, 1)), rng.normal(size=(2, 1)), np.array([-5.0, 3.0])
+    at = np.repeat(state, 2, axis=1), time, np.repeat(push, 2, axis=1)
+    with_it = reference.force(elements, *at, start=-5.0)
+    without = reference.force(still[:, None] * elements, *at, start=-5.0)
+    ratios = without / with_it
+    np.testing.assert_allclose(ratios, np.repeat([[1.0, 1.0 + 8.0 * 0.01]], 2, axis=0))
+
+
 def test_cells_along_the_axes_are_those_of_the_paper():
     pattern, k = StreamPattern("axis", (15.0, 4.0, np.pi, 0.0)), np.pi / 4.0
     cells = 15.0 * np.array([np.sin(1.3 * k) * np.cos(0.8 * k), -np.cos(1.3 * k) * np.sin(0.8 * k)])
