@@ -51,7 +51,7 @@ def entries(record: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
             words = f"{len(value)}: {'; '.join(map(str, value))}" if value else "none"
             yield label, one_line(words, terminal_width())
         else:
-            text = f"{value:.6g}" if isinstance(value, float) else one_line(typed({"": value})[1:])
+            text = f"{value:.6g}" if isinstance(value, float) else one_line(word(value))
             yield label, coloured(text) if key == "status" else text
 
 
@@ -95,10 +95,12 @@ def proof(certificate: Certificate | None) -> str:
 
 def typed(settings: Mapping[str, Any]) -> str:
     """Settings as they are typed: `alpha_fraction=0.1 separate=false`."""
-    return " ".join(
-        f"{key}={str(value).lower() if isinstance(value, bool) or value is None else value}"
-        for key, value in settings.items()
-    )
+    return " ".join(f"{key}={word(value)}" for key, value in settings.items())
+
+
+def word(value: object) -> str:
+    """A value as it is typed: `true`, `none`, `0.1`."""
+    return str(value).lower() if isinstance(value, bool) or value is None else str(value)
 
 
 def duration(seconds: float) -> str:

@@ -224,7 +224,7 @@ def report(args: argparse.Namespace) -> Reply:
     study, state = stored(args, whole=True)
     _warn(state.stale, STALE)
     written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
-    return Reply({"headline": headline, "written": written})
+    return Reply({"headline": headline, "written": written, "report": written[-1]})
 
 
 def compare(args: argparse.Namespace) -> Reply:
