@@ -7,6 +7,7 @@ is like another: they are not compared.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,39 +56,36 @@ class Comparison:
 
     @property
     def tables(self) -> dict[str, Table]:
-        """The table of settings, and that of changed cases, the largest change first."""
-        first = self.sides[0]
-        of_problems, sides = "objective" in first, dict(zip(SIDES, self.sides, strict=True))
-        each = measure("mean holdout-error" if of_problems else "mean timescale-error")
+        """The settings of which a case changed, and those cases, the largest change first."""
+        sides, first = dict(zip(SIDES, self.sides, strict=True)), self.sides[0]
+        of_problems, rows, words = "objective" in first, list[dict[str, Any]](), dict[Any, str]()
+        each = measure("mean holdout-error" if of_problems else "mean timescale-size")
         names = ["objective", "solver"] if of_problems else ["protocol", "label", *factors(first)]
-        values, rows = {name: each.values(side) for name, side in sides.items()}, []
-        for key, places in grouped(first, [*names, "settings"]):
+        for backend, texts in first.groupby("backend")["settings"]:
+            every = {text: json.loads(text) for text in texts.unique()}
+            varied = [key for key in next(iter(every.values()))
+                      if len({str(own.get(key)) for own in every.values()}) > 1]  # fmt: skip
+            words |= {(backend, text): ", ".join(f"{key}={own.get(key)}" for key in varied)
+                      for text, own in every.items()}  # fmt: skip
+        for key, places in grouped(first, [*names, "backend", "settings"]):
             here = self.cases.iloc[places]
-            rows.append({
-                **dict(zip((*names, "settings"), key, strict=True)), "n": len(places),
-                **here[["changed", "in status", "lost"]].sum(),
-                "largest change [%]": _largest(here),
-                **{f"{each.phrase} [%], {name}": each.summary_of(value[places])
-                   for name, value in values.items()},
-            })  # fmt: skip
-        settings = pd.DataFrame(rows).sort_values("changed", ascending=False, kind="stable")
-        settings = settings[
-            [
-                name
-                for name in settings
-                if name not in names or settings[name].nunique(dropna=False) > 1
-            ]
-        ]
+            errors = {f"{each.phrase} [%], {name}": each.summary_of(each.read(side)[places])
+                      for name, side in sides.items()}  # fmt: skip
+            if here["changed"].any():
+                rows.append({
+                    **dict(zip(names, key, strict=False)), "settings": words[key[-2:]],
+                    "n": len(places), **here[["changed", "in status", "lost"]].sum(),
+                    "largest change [%]": _largest(here), **errors,
+                })  # fmt: skip
+        settings = pd.DataFrame(rows).dropna(axis=1, how="all")
+        notes = [f"{name}: {run}" for name, run in zip(SIDES, self.names, strict=True)]
+        settings.attrs.update(title="Settings of which cases changed", notes=["; ".join(notes)])
         changes = pd.DataFrame({
             "case": first["case_id"], names[1]: first[names[1]],
             **{f"status, {name}": side["status"] for name, side in sides.items()},
             "change [%]": self.cases["change"],
         })[self.cases["changed"]]  # fmt: skip
         changes = changes.sort_values("change [%]", ascending=False, kind="stable")
-        notes = [
-            f"{name.capitalize()}: {run}." for name, run in zip(SIDES, self.names, strict=True)
-        ]
-        settings.attrs.update(title="Settings", notes=notes)
         changes.attrs["title"] = "Cases that changed"
         return {"settings": Table.of(settings), "changes": Table.of(changes)}
 

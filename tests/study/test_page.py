@@ -96,7 +96,7 @@ class TestComparison:
         made = compare(spread(flights=10), spread(flights=10), ("a", "b"))
         assert not made.differs
         assert made.sentence.startswith("0 of 20 cases changed, 0 of them in status")
-        assert made.tables["settings"].frame["changed"].tolist() == [0, 0]
+        assert not any(table.rows for table in made.tables.values())
 
     def test_what_changed(self):
         first, second = spread(flights=10), spread(flights=10)
@@ -108,7 +108,7 @@ class TestComparison:
         made = compare(first, second, ("a", "b"))
         assert made.sentence.startswith("11 of 20 cases changed, 1 of them in status")
         rows = made.tables["settings"].frame.set_index(["label", "settings"])
-        worse = rows.loc[("lasso", '{"a": 0, "threshold": 1}')]
+        worse = rows.loc[("lasso", "threshold=1")]
         assert worse[["n", "changed", "lost"]].tolist() == [5, 5, 0]
         assert worse["largest change [%]"] == pytest.approx(100 / 6)
         before, after = (worse[f"mean |error| of τ_w [%], {name}"] for name in ("first", "second"))
