@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 import sparsefit as sf
 from sparsefit import backends
-from sparsefit.regression.certificate import DualPoint, duality_gaps, of_signs
+from sparsefit.regression.certificate import DualPoint, duality_gaps, of_signs, rounding_of
 from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.losses import RootSquares
-from sparsefit.regression.penalties import BoundedValues, alpha_max, lasso_penalty
+from sparsefit.regression.penalties import BoundedValues, SquaredNorm, alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem, compressed
 from sparsefit.solvers.exact import exact_path
 from tests.problems import DEGENERATE_KINDS, degenerate, regular
@@ -288,6 +288,32 @@ def test_the_dual_point_of_a_box_has_each_rounding_on_its_safe_side():
     assert dual == pytest.approx(1.375)  # s = 1; s = q/r = 2 gives 5/2 - 2
     # q, r/2, |V| <= 1 times what the first of C is off, gamma (4 q + r/2 + conjugate)
     assert dual - least == pytest.approx(3e-3 + 1e-3 + 1e-3 + 1e-4 * (10.0 + 0.625 + 0.501))
+
+
+def test_the_dual_point_of_a_ridge_has_each_rounding_on_its_safe_side():
+    """mu = 1/2, F = (2, 1): C less mu F, r more mu |F|^2 = 5/2; without a norm F = C/mu."""
+    errors = (np.array([[size]]) for size in (1e-3, 2e-3, 3e-3))  # of C, r and q
+    pull, numbers = np.array([[[1.0], [0.25]]]), (np.array([[1.25]]), np.array([[2.5]]))
+    point, alphas = DualPoint(pull, *numbers, *errors, 1e-4), np.array([0.25])
+    net = point.with_ridge(np.array([[[2.0], [1.0]]]), alphas, replace(lasso_penalty(2), ridge=2.0))
+    assert net.correlation.ravel().tolist() == [0.0, -0.25]
+    assert (net.square, net.product) == (3.75, 2.5)
+    assert net.correlation_error == pytest.approx(1e-3 + 1e-4 * 1.0)  # mu max |F|
+    assert net.square_error == pytest.approx(2e-3 + 1e-4 * 2.5)
+    bare = point.with_ridge(pull, alphas, SquaredNorm(2, ridge=2.0))
+    assert not bare.correlation.any()
+    assert bare.square == 1.25 + 0.5 * 4.25
+    # F is off by e = 2e-3 in each entry: mu |F + e|^2 by mu (2 |F|_1 e + 2 e^2)
+    off = 0.5 * (2.0 * 2.5 * 2e-3 + 2.0 * 2e-3**2)
+    assert bare.square_error == pytest.approx(2e-3 + off + 1e-4 * 2.125)
+
+
+def test_a_residual_of_zero_may_be_all_that_its_rounding_can_hide():
+    """y = l = 2, one column in use: |R|/sqrt(m) <= 4 gamma_9, and P less by 2 of these of 4."""
+    root = replace(lasso_penalty(2), loss=RootSquares())
+    exact = certify(THETA, 2.0 * THETA[:, :1], [[2.0], [0.0]], 0.5, root)
+    assert (exact.primal, exact.value) == (1.0, 0.0)
+    assert 2.0 * rounding_of(9) <= exact.rounding < 1e-13
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -77,6 +77,12 @@ def test_every_kind_is_the_array_that_it_is(
         check(Design(source, M, direction=DIRECTION), off)
 
 
+@pytest.mark.parametrize("kind", ["rows", "columns", "file", "slices", "sparse", "dask"])
+def test_only_what_is_in_memory_has_a_digest(kind: str, tmp_path: Path) -> None:
+    source: Any = source_of(kind, tmp_path, 8192)
+    assert bool(Design(source, M).digest()) == (kind in ("rows", "columns", "sparse"))
+
+
 def test_a_file_of_single_precision_is_read_as_it_is(tmp_path: Path) -> None:
     np.save(tmp_path / "theta.npy", THETA.astype(np.float32))
     stored = np.load(tmp_path / "theta.npy", mmap_mode="r")
@@ -86,9 +92,13 @@ def test_a_file_of_single_precision_is_read_as_it_is(tmp_path: Path) -> None:
     np.testing.assert_allclose(fit.weights, again.weights, rtol=1e-9)
 
 
-def test_rounding_grows_with_blocks_and_with_the_mean_that_is_taken_off() -> None:
+def test_rounding_grows_with_blocks_and_with_the_mean_that_is_taken_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     tall = Design(np.ones((100_000, 1)), 100_000)
     assert tall.terms == 8192 + 12
+    monkeypatch.setattr("sparsefit.regression.design.BLOCK_BYTES", 8 * K * 20)
+    assert Design(Rows(), M).terms == 20 + 2  # three blocks of 20 rows of eight bytes a number
     shifted = Design(DRAW.normal(size=(50, 2)) + np.array([0.0, 1e3]), 50)
     assert 300 < replace(shifted, direction=np.full(50, 50**-0.5)).spread < 3000
     assert Design(sparse.csc_array(np.eye(5)), 5).terms == 1

@@ -73,6 +73,7 @@ def test_the_dual_norm_is_the_largest_product_in_the_unit_ball(penalty: Penalty)
             program.solve(solver="CLARABEL")
             assert penalty.dual_norm(pull[:, targets]).max() == pytest.approx(program.value, 1e-5)
     batch = np.stack([pull, 2 * pull])
+    assert penalty.conjugate(batch, 1e9).tolist() == [[0.0] * N] * 2  # alpha is above the dual norm
     assert np.allclose(penalty.dual_norm(batch)[1], 2 * penalty.dual_norm(pull))
     assert np.allclose(penalty.block_dual_norms(pull).max(axis=0), penalty.dual_norm(pull))
 

@@ -89,6 +89,8 @@ def test_a_users_box_is_certified_by_its_conjugate():
     unit = THETA / PROBLEM.design.rms
     problem = sf.RegressionProblem.from_arrays(unit, unit @ DRAW.normal(size=(12, 2)))
     fractions = [0.5, 0.1, 1e-3]
+    assert not Share(12).constraint(np.ones((3, 12, 2))).any()
+    assert Share(12).constraint(np.ones((3, 12, 2))).shape == (3, 2)
     path = sf.path(problem, Shares(), fractions)
     assert all(fit.status == "ok" for fit in path.fits)
     ours = sf.path(problem, backends.get("box-lasso", lower=-0.5, upper=0.25), fractions)

@@ -1,16 +1,19 @@
 """The kernels by themselves: going on is going at once, compiled is generic, warm is cold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.ordered_penalties import SortedNorm
-from sparsefit.regression.penalties import AbsoluteValues
+from sparsefit.regression.penalties import AbsoluteValues, BoundedValues
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import exact, kernels
 from sparsefit.solvers.kernels import BEGIN, KERNELS, STOP, kernel_for
-from sparsefit.solvers.newton import Columns, settled
+from sparsefit.solvers.newton import Columns, relative_gap, settled, towards_clusters_optimum
 
 homotopy = pytest.importorskip("sparsefit.solvers.homotopy", reason="it was not compiled")
 variances = pytest.importorskip("sparsefit.solvers.variances", reason="it was not compiled")
@@ -106,6 +109,8 @@ def test_groups_that_outnumber_the_rows_are_descended_to_the_same_optimum(
         patch.setattr(exact, "HELD", 0)  # without rows there is no descent
         whole = exact.exact_path(design, target, penalty, alphas)
     monkeypatch.setattr(kernels, "MOST", most)
+    if most > 1:
+        monkeypatch.setattr(kernels, "variational", None)
     descended = exact.exact_path(design, target, penalty, alphas)
     assert "block descent" in descended.words
     assert "variational" in whole.words
@@ -133,6 +138,79 @@ def test_clusters_of_columns_that_are_alike_are_certified(kind):
         scaled = points.weights / design.rms[:, None]
         gaps = duality_gaps(design, target, scaled, alphas, penalty)
         assert max(gap.bound for gap in gaps) < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("kind", "targets", "name"),
+    [
+        *(("LASSO", 1, "homotopy"), ("elastic net", 1, "homotopy"), ("LASSO", 2, "newton")),
+        *(("groups", 1, "variational"), ("groups", 2, "variational")),
+        *(("SLOPE", 1, "cluster descent"), ("SLOPE", 2, "newton")),
+    ],
+)
+def test_a_ridge_or_further_targets_take_the_kernel_that_knows_them(kind, targets, name):
+    assert kernel_for(PENALTIES[kind], targets) == name
+    if kind in ("groups", "SLOPE"):
+        assert kernel_for(replace(PENALTIES[kind], ridge=0.1), targets) == "newton"
+
+
+@pytest.mark.parametrize("kind", [*PENALTIES, "box"])
+def test_the_gap_by_sums_is_that_of_the_certificate(kind):
+    box = BoundedValues(np.ones(K), np.full(K, -0.5), np.full(K, 0.3))
+    (z, y), penalty = problem(2), PENALTIES.get(kind, box)
+    values = penalty.prox(np.random.default_rng(0).normal(size=(K, 1)), 0.2)
+    on = Columns(penalty, z.T @ y / 40, 40, z.T @ z / 40)
+    gap = relative_gap(on, 0.1, values, on.cross - on.times(values))
+    (expected,) = duality_gaps(Design(z, 40), y, values[None], np.array([0.1]), penalty)
+    assert gap == pytest.approx(expected.value, rel=1e-9)
+
+
+@pytest.mark.parametrize("factor", [None, np.random.default_rng(1).normal(size=(K, 15))])
+def test_newtons_system_is_solved_by_few_rows_as_it_is_by_columns(factor):
+    """s N (I + s N'G N)^-1 N' C, N of more columns than the rows of Z."""
+    z, y = problem(0, samples=9)
+    gram, pull, every = z.T @ z / 9, np.random.default_rng(2).normal(size=K), np.arange(K)
+    lift = np.eye(K) if factor is None else factor
+    square = np.eye(lift.shape[1]) + 3.0 * lift.T @ gram @ lift
+    expected = 3.0 * lift @ np.linalg.solve(square, lift.T @ pull)
+    for store in ({"gram": gram}, {"gram": None, "rows": z}):
+        on = Columns(PENALTIES["LASSO"], z.T @ y / 9, 9, **store)
+        np.testing.assert_allclose(on.solved(every, factor, pull, 3.0, 1), expected, atol=1e-10)
+
+
+def test_clusters_move_to_their_optimum_until_two_meet():
+    """G = I, lambda = (2, 1): (2, 1) moves towards (1, 3), and both are 5/3 a third of the way."""
+    pull = np.array([[3.0], [-4.0]])
+    on = Columns(SortedNorm(np.array([2.0, 1.0])), pull, 1, np.eye(2))
+    third, met = towards_clusters_optimum(on, 1.0, np.array([[2.0], [-1.0]]))
+    assert third.ravel() == pytest.approx([5.0 / 3.0, -5.0 / 3.0])
+    assert met
+    moved, met = towards_clusters_optimum(on, 1.0, third)  # one cluster: (7 - 3)/2
+    assert moved.ravel() == pytest.approx([2.0, -2.0])
+    assert not met
+
+
+def test_a_target_that_no_column_correlates_with_has_weights_of_zero():
+    design = Design(np.eye(6)[:, :3], 6)
+    for target in (np.eye(6)[:, 3:5], np.zeros((6, 2))):
+        points = exact.exact_path(design, target, AbsoluteValues(np.ones(3)), np.zeros(2))
+        assert (points.words, points.complete.all()) == ("zero", True)
+        assert not points.weights.any()
+
+
+@pytest.mark.parametrize("kind", ["LASSO", "groups"])
+def test_a_point_of_few_columns_is_solved_on_those_that_pull_the_most(kind):
+    rng, few = np.random.default_rng(6), exact.START // 8
+    theta, used = rng.normal(size=(200, 8 * few)), np.arange(few, 2 * few)
+    penalty = AbsoluteValues(np.ones(8 * few))
+    if kind == "groups":
+        penalty = GroupNorms(np.arange(8 * few) // few, np.ones(8))
+    target = theta[:, used] @ np.ones((few, 1))
+    design = Design(theta, 200)
+    alpha = 0.7 * penalty.dual_norm(design.correlate(target)).max()
+    points = exact.exact_path(design, target, penalty, np.array([alpha]))
+    assert points.complete.all()
+    assert points.words.endswith(f", {few} columns in play")
 
 
 def test_a_walk_from_anywhere_ends_at_the_optimum():

@@ -141,6 +141,16 @@ def test_working_sets_of_the_referee_leave_out_what_does_not_object():
         assert abs(gap) < 1e-6
 
 
+@pytest.mark.parametrize("name", ["scikit-learn-cd", "clarabel"])
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_one_column_of_any_unit_has_the_weight_that_is_worked_by_hand(name, unit):
+    """v = (c - alpha omega)/(1 + alpha rho), omega = 2 and rho = 3, at c = 5 in any unit."""
+    column = np.array([[1.0], [-1.0], [1.0], [1.0]])
+    penalty, alphas = AbsoluteValues(np.array([2.0]), ridge=3.0), np.array([1.0, 0.5])
+    weights = solver(name).path(Design(unit * column, 4), 5.0 * column, penalty, alphas, 1e-12)
+    assert weights.ravel() == pytest.approx([3.0 / 4.0, 4.0 / 2.5], rel=1e-6)
+
+
 def test_a_tall_problem_is_handed_over_as_the_triangle_of_a_qr():
     theta, target = problem()
     parts = []

@@ -14,6 +14,7 @@ from sparsefit.regression.backend import plugins
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, SquaredNorm, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers.peers import Timed
 from sparsefit.solvers.registry import LateError, Recipe, answers, solver, solver_names
 
 MINE = '''
@@ -68,6 +69,8 @@ class Odd:
     def path(self, design, target, penalty, alphas, tolerance):
         if self.deed == "raises":
             raise ZeroDivisionError("of its own")
+        if self.deed == "boasts":
+            return Timed(np.ones((1, 6, 2)), 0.0, 0.0)
         return np.zeros((1, 1))
 
 
@@ -125,18 +128,29 @@ def test_what_goes_wrong_in_a_solver_is_an_answer_with_a_reason(deed):
     assert ("of its own" if deed == "raises" else "(2, 6, 2)") in found[0].reason
 
 
-def test_a_warning_makes_an_answer_inaccurate():
+def test_only_a_command_is_timed_by_its_own_clock():
+    data = problem()
+    (answer,) = answers(Odd("boasts"), data, lasso_penalty(6), (1.0,))
+    assert (answer.status, answer.clock) == ("ok", None)
+    np.testing.assert_allclose(answer.weights, 1.0 / data.design.rms[:, None].repeat(2, axis=1))
+
+
+@pytest.mark.parametrize(
+    ("words", "shown"), [("not converged", "not converged"), ("n" * 200, "n" * 104 + "...")]
+)
+def test_a_warning_makes_an_answer_inaccurate(words, shown):
     @dataclass(frozen=True)
     class Warns(Odd):
         def path(self, design, target, penalty, alphas, tolerance):
             import warnings
 
-            warnings.warn("not converged", UserWarning, stacklevel=1)
+            warnings.warn(words, UserWarning, stacklevel=1)
             warnings.warn("deprecated", FutureWarning, stacklevel=1)
             return np.zeros((1, 6, 2))
 
     (found,) = answers(Warns(), problem(), lasso_penalty(6), (1.0,))
-    assert (found.status, found.reason) == ("inaccurate", "odd: UserWarning: not converged")
+    assert (found.status, found.reason) == ("inaccurate", f"odd: UserWarning: {shown}")
+    assert len(found.solver_status) <= 120
 
 
 def test_a_command_is_handed_a_folder_and_timed_between_its_lines(tmp_path):
