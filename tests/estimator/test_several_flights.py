@@ -9,7 +9,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
-from tests.problems import VEHICLE, fly, part
+from tests.problems import SMALL_GRID, VEHICLE, fly, part
 
 FLOW = sf.CellularFlow(mean_velocity=15.43, length_scale=4.21)
 REFINED = sf.Readout(refine="variable-projection")
@@ -120,6 +120,13 @@ def test_what_is_no_list_of_flights_is_told_in_one_line(flights, words):
     with pytest.raises(InputError, match=words) as caught:
         sf.Estimator().estimate(flights)
     assert "\n" not in str(caught.value)
+
+
+def test_the_repairs_of_an_estimate_are_those_of_its_one_flight():
+    odd = replace(FLEET[0], velocity=FLEET[0].velocity + 30.0 * np.eye(601)[300][:, None])
+    coarse = sf.Estimator(library=sf.Library(SMALL_GRID), readout=sf.Readout(refine="none"))
+    alone, both = coarse.estimate(odd), coarse.estimate([odd, FLEET[1]])
+    assert [own.repairs.outliers for own in (alone, both)] == [1, 0]
 
 
 def test_the_command_line_reads_several_files(tmp_path, capsys):

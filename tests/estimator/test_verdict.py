@@ -11,6 +11,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.estimator import Doubt
+from sparsefit.estimator.prepare import apart, latency_of
 from tests.problems import VEHICLE, fly, part
 from tests.worlds import GROUPS, draw
 
@@ -186,6 +187,16 @@ def test_a_large_latency_is_named_or_freed(late):
         assert milliseconds == pytest.approx(200, abs=40)
     freed = sf.Estimator(free="auto").estimate(flight)  # rows so far apart may not show the flow
     assert freed.status == "misfit" or freed.mean_velocity == pytest.approx(15.43, rel=0.01)
+
+
+def test_a_latency_is_read_from_a_log_where_it_mends_the_way():
+    """The way of a velocity that is 10 % too large is a tenth apart, at any latency."""
+    whole = flown(FLOW, rate=50.0, duration=20.0)
+    late = replace(part(whole, slice(10, -10)), position=whole.position[5:-15])
+    assert latency_of(late) == pytest.approx(0.1, abs=0.0154)  # half a step
+    large = replace(whole, velocity=1.1 * whole.velocity)
+    assert apart(large) == pytest.approx(0.1 / 1.1, rel=0.02)
+    assert latency_of(large) == latency_of(whole) == 0.0
 
 
 def test_causes_beside_which_something_wanders_are_not_believed():

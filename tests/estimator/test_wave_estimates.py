@@ -12,6 +12,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.cli.printed import ReadLog, lines
 from sparsefit.estimator import Doubt
+from sparsefit.estimator.measure import read_waves
 from sparsefit.flows import ShapedCells
 from sparsefit.logs.checks import LogQuality
 from tests.problems import fly
@@ -187,6 +188,18 @@ def test_two_flows_are_read_each_by_itself():
     told = [line for line in lines([log], found, ()) if line.startswith("flow ")]
     assert len(told) == 2
     assert all(" heading " in line and line.endswith(" degrees") for line in told)
+
+
+def test_waves_are_read_by_hand_and_move_as_the_two_strongest():
+    # Speeds |k| sqrt(a^2 + b^2) of 5, 13 and 0.6 m/s; the first two move at (2, -1) m/s
+    waves = [[-1.0, 0.0, -2.0, 3.0, 4.0], [0.0, -1.0, 1.0, 12.0, 5.0], [0.6, 0.0, 40.0, 1.0, 0.0]]
+    speed, scale, timescale, *_, x, y = read_waves(np.array(waves))
+    assert speed == pytest.approx(math.sqrt(25.0 + 169.0 + 0.36))
+    assert scale == pytest.approx(math.sqrt(2.0) * math.pi)
+    assert timescale == pytest.approx(scale / speed)
+    assert (x, y) == pytest.approx((2.0, -1.0))
+    alone = read_waves(np.array(waves[:1]))
+    assert alone.tolist() == pytest.approx([5.0, math.sqrt(2.0) * math.pi, alone[1] / 5.0])
 
 
 def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():

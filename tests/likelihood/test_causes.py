@@ -1,16 +1,18 @@
 """Score tests of causes against their refits, and what is named where something is wrong."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sparsefit as sf
+from sparsefit.likelihood import diagnosis as room
 from sparsefit.likelihood.causes import FREEDOMS
 from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
 from sparsefit.likelihood.gains import gains_of
-from sparsefit.likelihood.goodness import Constancy
-from sparsefit.likelihood.model import Model
+from sparsefit.likelihood.goodness import Constancy, _disturbances
+from sparsefit.likelihood.model import Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import whiteness
@@ -74,6 +76,8 @@ def test_nothing_is_named_where_nothing_is_wrong():
     assert diagnosis.posterior is posterior
     rate, error = diagnosis.growth
     assert abs(rate) < 4 * error
+    for name in ("turbulence", "wander", "swell"):
+        assert room._scanned(posterior, room.process_of(name, posterior)) < 4.0
 
 
 def test_an_answer_is_at_its_maximum_though_a_search_was_left_before():
@@ -125,6 +129,81 @@ def test_white_innovations_are_white_and_coloured_ones_are_not():
     gaps = np.where(rng.random((300, 4)) < 0.3, np.nan, rng.normal(size=(300, 4)))
     assert whiteness(gaps) > 1e-3
     assert np.isnan(whiteness(np.full((50, 2), np.nan)))
+
+
+def pattern_of(shape="axis", speed=9.0, scale=4.0, drift=None):
+    waves = np.pi / scale * np.array([[1.0, 1.0], [1.0, -1.0]])
+    height = 0.5 * speed * scale / np.pi * np.ones(2)
+    return StreamPattern.of_waves(shape, waves, height, 0.0 * height, drift)
+
+
+@pytest.mark.parametrize(
+    ("shape", "group", "shapes", "causes"),
+    [
+        ("axis", "turn", ["square", "rectangle", "pair"], ["turn", "stretch", "stretch"]),
+        ("rectangle", "turn", ["pair"], ["stretch"]),
+        ("square", "drift", ["square"], ["drift"]),
+    ],
+)
+def test_freer_shapes_are_those_after_a_shape_or_itself_adrift(shape, group, shapes, causes):
+    pattern = pattern_of(shape)
+    trials = room.freer([Model(pattern, {})], group, answers=False)
+    assert [trial.cause.name for trial in trials] == causes
+    there = [trial.models[0].pattern for trial in trials]
+    assert [own.shape for own in there] == shapes
+    assert [own.drifting for own in there] == [group == "drift"] * len(shapes)
+    assert [own.freedom for own in trials] == [
+        len(own.values) - len(pattern.values) for own in there
+    ]
+
+
+@pytest.mark.parametrize(
+    ("shape", "drift", "simpler"),
+    [
+        ("axis", (0.3, 0.1), [("axis", False)]),
+        ("square", (0.3, 0.1), [("axis", False), ("square", False), ("axis", True)]),
+        ("rectangle", None, [("axis", False), ("square", False)]),
+        ("several", None, []),
+    ],
+)
+def test_simpler_shapes_are_those_before_it_first_where_they_stand(shape, drift, simpler):
+    tried = []
+
+    def refit(models, near):
+        tried.append((models[0].pattern.shape, models[0].pattern.drifting))
+
+    model = Model(pattern_of(shape, drift=drift), {})
+    posterior = SimpleNamespace(model=model, models=[model])
+    assert room._simplest(refit, posterior) is posterior
+    assert tried == simpler
+
+
+def test_what_is_ambiguous_is_worked_by_hand():
+    """A lag of 0.02 s beside a response time of 0.12 s, at 8 m/s through cells of 4 m."""
+
+    def flow(speed, scale, likelihood=0.0):
+        values = {"lag": 0.02, "response_time": 0.12}
+        model = Model(pattern_of("axis", speed, scale), {})
+        legs = [SimpleNamespace(log=SimpleNamespace(speed=8.0))]
+        likely = {"log_likelihood": likelihood, "evidence": 5.0}
+        return SimpleNamespace(model=model, legs=legs, value=values.get, **likely)
+
+    share = 0.02 * (10.0 + np.pi)
+    own = flow(10.0, 4.0)
+    assert room._ambiguity(own, flow(9.0, 4.4), ()) == pytest.approx((0.1 * share, 0.1 * share))
+    rivals = [(own, flow(10.5, 3.8, -4.0)), (own, flow(20.0, 8.0, -6.0))]
+    assert room._ambiguity(own, flow(9.0, 4.2), rivals) == pytest.approx((0.05, 0.05))
+
+
+def test_disturbances_are_those_within_the_band_of_the_flow():
+    """Gusts: the variance about the mean of a walk, summed over pairs of times; kicks by hand."""
+    air = Disturbance(2.0, 0.1, 0.1, (Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25),))
+    model = Model(pattern_of(speed=8.0), {"response_time": 0.3}, air)
+    time = np.linspace(0.0, 10.0, 801)
+    gusts, kicks = _disturbances(SimpleNamespace(model=model, nodes=SimpleNamespace(time=time)))
+    about = 1.0 - np.mean(np.exp(-0.25 * np.abs(time[:, None] - time)))
+    assert gusts == pytest.approx(0.64 * about, rel=0.01)
+    assert kicks == pytest.approx((2.0 * 0.3) ** 2 / (2.0 * 0.5))
 
 
 def test_constancy_is_the_rate_of_growth_in_its_unit():

@@ -20,7 +20,8 @@ from sparsefit.likelihood import (
 )
 from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes
-from sparsefit.likelihood.posterior import Rung
+from sparsefit.likelihood.posterior import Posterior, Rung
+from sparsefit.likelihood.smoother import _bounded, inverted
 from sparsefit.likelihood.trellis import Leg
 
 TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
@@ -186,6 +187,28 @@ def test_levels_are_at_the_maximum():
             assert there.value < posterior.log_likelihood
 
 
+@pytest.mark.parametrize(
+    ("score", "step"),
+    [((0.8, 0.1), (0.5, -0.2)), ((9.0, 0.0), (2.0, -0.9)), ((0.0, -4.5), (0.45, -0.9))],
+)
+def test_a_step_of_levels_is_that_of_the_quadratic_in_its_bounds(score, step):
+    information = np.array([[2.0, 1.0], [1.0, 2.0]])
+    bounded = _bounded(information, np.array(score), np.array([-0.9, -0.9]))
+    np.testing.assert_allclose(bounded, step, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("length", "unseen"), [(3.0, [0, 1, 2]), (8.0, [1, 2])])
+def test_what_is_unknown_has_a_fifth_of_a_direction_without_information(length, unseen):
+    """Three columns in a plane that add up to nothing with the weights 1, length, length."""
+    away = np.sqrt(1.0 - 0.25 / length**2)
+    columns = np.array([[1.0, 0.0], [-0.5 / length, away], [-0.5 / length, -away]])
+    size = np.array([1.0, 1e3, 1e-3])
+    inverse, named = inverted(np.outer(size, size) * (columns @ columns.T))
+    assert named.tolist() == unseen
+    expected = np.linalg.pinv(columns @ columns.T) / np.outer(size, size)
+    np.testing.assert_allclose(inverse, expected, rtol=1e-9)
+
+
 def test_parameters_that_a_log_cannot_tell_apart_are_named():
     log, _ = flown(5)
     model = Model(nearby(), {"response_time": TAU}).free("wind_x", "thrust_bias_x")
@@ -320,6 +343,27 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
         bare = np.sqrt(np.linalg.inv(posterior.information)[0, 0])
         assert bare < posterior.error("mean_velocity") < 4.0 * bare
         assert abs(posterior.value("mean_velocity") - 9.0) < 4.0 * posterior.error("mean_velocity")
+
+
+def test_waves_around_those_of_the_flow_are_two_cells_from_them_and_their_opposites(monkeypatch):
+    seen = []
+
+    def scores(posterior, extra):
+        seen.extend(posterior.model.pattern.silent)
+        return tuple(extra), np.zeros(len(extra)), np.eye(len(extra))
+
+    monkeypatch.setattr(Posterior, "scores", scores)
+    walk = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
+    model = Model(TRUE, {"response_time": TAU}, Disturbance(processes=(walk,)))
+    legs = (Leg(None, model, None, np.array([[0.0, 0.0], [10.0, 8.0]])),)
+    assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0
+    waves = TRUE.waves[:, :2]
+    cells = (
+        (np.array(seen)[:, None] - np.concatenate([waves, -waves])) * [10.0, 8.0] / (2.0 * np.pi)
+    )
+    nearest = np.linalg.norm(cells, axis=2).min(axis=1)
+    assert len(nearest) > 10
+    assert 2.0 < nearest.min() < nearest.max() < 5.1
 
 
 def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():

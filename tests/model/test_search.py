@@ -101,6 +101,15 @@ def test_waves_of_a_back_end_are_joined_and_moved():
     assert len(proposals[0].wavevectors) == 2
 
 
+@pytest.mark.parametrize(("speed", "noise"), [(0.0, True), (0.5, True), (0.6, False)])
+def test_errors_are_noise_up_to_a_wave_that_chance_may_show(speed, noise):
+    """Among white errors of 1 m/s; speed: the rms of the wave's own."""
+    search = Search.of([samples_of(flow_of(AXIS, (0.9,)), 0.05)], [VEHICLE], LIBRARY)
+    errors = np.random.default_rng(1).normal(size=search.rows.rest.shape)
+    wave = flow_of(free_waves(1), (1.4, -0.3), (1.0, 0.0)).velocity(*search.rows.place[:, :2].T)
+    assert search.quiet(errors + speed * wave / np.sqrt(np.mean(wave**2))) == noise
+
+
 def test_several_length_scales_come_from_their_windows():
     flow = flow_of(axis_cells(2), (0.8, 1.15), (1.0, 0.4, -0.4, 1.0, 0.6, 0.2, 0.2, 0.6))
     search = Search.of([samples_of(flow, 0.05)], [VEHICLE], LIBRARY)

@@ -231,6 +231,13 @@ def test_a_position_off_by_itself_moves_no_other():
     np.testing.assert_array_equal(np.delete(mended - noisy.position, 400, axis=0), 0.0)
 
 
+def test_an_outlier_on_a_polynomial_of_degree_5_is_put_back_onto_it():
+    time = np.linspace(-1.0, 1.0, 60)
+    curve = np.column_stack([time**5 - time, time**4 + time])
+    dirty = curve + np.eye(60)[20][:, None]
+    np.testing.assert_allclose(without_outliers(dirty), curve, atol=1e-12)
+
+
 def test_no_window_crosses_a_gap():
     exact, rows = flown(FLOW), np.r_[0:300, 360:801]
     flight = part(exact, rows)
