@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import sparsefit as sf
 from sparsefit import backends
 from sparsefit.cli.printed import ReadLog, lines
 from sparsefit.estimator import Doubt
-from sparsefit.estimator.measure import read_waves
+from sparsefit.estimator.measure import _loose, read_waves
 from sparsefit.flows import ShapedCells
 from sparsefit.logs.checks import LogQuality
 from tests.problems import fly
@@ -193,13 +194,21 @@ def test_two_flows_are_read_each_by_itself():
 def test_waves_are_read_by_hand_and_move_as_the_two_strongest():
     # Speeds |k| sqrt(a^2 + b^2) of 5, 13 and 0.6 m/s; the first two move at (2, -1) m/s
     waves = [[-1.0, 0.0, -2.0, 3.0, 4.0], [0.0, -1.0, 1.0, 12.0, 5.0], [0.6, 0.0, 40.0, 1.0, 0.0]]
-    speed, scale, timescale, *_, x, y = read_waves(np.array(waves))
+    speed, scale, *_, x, y = read_waves(np.array(waves))
     assert speed == pytest.approx(math.sqrt(25.0 + 169.0 + 0.36))
     assert scale == pytest.approx(math.sqrt(2.0) * math.pi)
-    assert timescale == pytest.approx(scale / speed)
     assert (x, y) == pytest.approx((2.0, -1.0))
-    alone = read_waves(np.array(waves[:1]))
-    assert alone.tolist() == pytest.approx([5.0, math.sqrt(2.0) * math.pi, alone[1] / 5.0])
+
+
+def test_waves_are_loose_but_for_cells_of_one_flow_or_of_two():
+    def loose(*waves):
+        pattern = SimpleNamespace(waves=np.array(waves))
+        return _loose(SimpleNamespace(model=SimpleNamespace(pattern=pattern)))
+
+    cells = [[1.0, 0.0, 2.0, 0.0, 0.0], [0.0, 1.0, 0.0, 2.0, 0.0]]
+    more, odd = [[0.5, 0.5, 5.0, 0.0, 0.0], [0.5, -0.5, 0.0, 5.0, 0.0]], [0.5, -0.5, 9.0, 9.0, 0.0]
+    sets = cells[:1], cells, [*cells, more[0]], [*cells, *more], [*cells, more[0], odd]
+    assert [loose(*own) for own in sets] == [True, False, True, False, True]
 
 
 def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():

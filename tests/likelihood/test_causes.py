@@ -163,7 +163,6 @@ def test_freer_shapes_are_those_after_a_shape_or_itself_adrift(shape, group, sha
         ("axis", (0.3, 0.1), [("axis", False)]),
         ("square", (0.3, 0.1), [("axis", False), ("square", False), ("axis", True)]),
         ("rectangle", None, [("axis", False), ("square", False)]),
-        ("several", None, []),
     ],
 )
 def test_simpler_shapes_are_those_before_it_first_where_they_stand(shape, drift, simpler):

@@ -21,8 +21,8 @@ from sparsefit.likelihood import (
 from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes
 from sparsefit.likelihood.posterior import Posterior, Rung
-from sparsefit.likelihood.smoother import _bounded, inverted
-from sparsefit.likelihood.trellis import Leg
+from sparsefit.likelihood.smoother import LevelSteps, _bounded, inverted
+from sparsefit.likelihood.trellis import Leg, longest_step
 
 TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
 THRUST = (5.0, 3.0)
@@ -80,6 +80,8 @@ def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
     model = Model(still, {"response_time": 1e6}, Disturbance(0.5, 1e-9, 1e-7))
     posterior = measure(log, model)
     assert posterior.model.disturbance.acceleration == pytest.approx(1.0, rel=0.04)
+    free = len(posterior.names) + len(LEVELS)
+    assert posterior.bic == pytest.approx(free * np.log(4004) - 2.0 * posterior.log_likelihood)
 
 
 def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
@@ -197,6 +199,22 @@ def test_a_step_of_levels_is_that_of_the_quadratic_in_its_bounds(score, step):
     np.testing.assert_allclose(bounded, step, rtol=1e-8)
 
 
+def test_a_level_falls_to_its_floor_and_no_further():
+    squares, levels = np.array([[1e-9, 50.0], [50.0, 50.0], [50.0, 50.0]]), [0.1, 0.05, 0.2]
+    change, _ = LevelSteps(0.8 * np.array(levels), 0).change(levels, squares, np.zeros((0, 0)))
+    np.testing.assert_allclose(change, [2.0 * np.log(0.8), 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("speed", "tau", "interval", "step"),
+    [(10.0, 0.3, 0.1, 0.1 / np.pi), (0.1, 0.3, 0.1, 0.15), (0.1, 0.3, 0.4, 0.45)],
+)
+def test_a_step_is_a_quarter_radian_or_a_share_of_the_response_time(speed, tau, interval, step):
+    model = Model(TRUE, {"response_time": tau})  # waves of sqrt(2) pi/4
+    log = SimpleNamespace(speed=speed / np.sqrt(2.0), interval=interval)
+    assert longest_step(log, model) == pytest.approx(step)
+
+
 @pytest.mark.parametrize(("length", "unseen"), [(3.0, [0, 1, 2]), (8.0, [1, 2])])
 def test_what_is_unknown_has_a_fifth_of_a_direction_without_information(length, unseen):
     """Three columns in a plane that add up to nothing with the weights 1, length, length."""
@@ -207,6 +225,7 @@ def test_what_is_unknown_has_a_fifth_of_a_direction_without_information(length, 
     assert named.tolist() == unseen
     expected = np.linalg.pinv(columns @ columns.T) / np.outer(size, size)
     np.testing.assert_allclose(inverse, expected, rtol=1e-9)
+    assert np.isnan(inverted(np.full((2, 2), np.inf))[0]).all()
 
 
 def test_parameters_that_a_log_cannot_tell_apart_are_named():
@@ -339,6 +358,7 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
     model = Model(nearby(), {"response_time": TAU})
     still, moved = (measure(each, model) for each in (log, noisy))
     assert still.model.disturbance.acceleration < moved.model.disturbance.acceleration
+    assert still.evidence == 0.0 < 1e4 < moved.evidence
     for posterior in (still, moved):
         bare = np.sqrt(np.linalg.inv(posterior.information)[0, 0])
         assert bare < posterior.error("mean_velocity") < 4.0 * bare

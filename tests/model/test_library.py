@@ -312,8 +312,8 @@ def test_rows_of_a_wrong_vehicle_are_the_flow_and_the_columns(method, thrust):
 def test_vehicles_that_cannot_be_are_those_believed():
     columns = UnknownColumns(("response_time",), WRONG)
     for value in (1.0, 3.0, np.nan):
-        vehicle, _, ratio = columns.read(np.array([value]))
-        assert vehicle == WRONG
+        vehicle, wind, ratio = columns.read(np.array([value]))
+        assert (vehicle, wind) == (WRONG, (0.0, 0.0))
         assert np.isnan(ratio)
     vehicles, wind, ratio = read_vehicles((columns, columns), np.array([3.0, -3.0]))
     assert vehicles[0] == WRONG

@@ -147,15 +147,15 @@ def weighted(scales, strengths):
 
 
 def test_peaks_and_windows_of_a_grid():
-    fit = weighted([1.0, 2.0, 3.0, 4.0, 5.0], [0.001, 0.5, 3.0, 0.0, 2.0])
-    peaks = windows(fit, 1e-3, (np.pi / 5, np.pi))
-    third, fifth = np.pi / np.array([3.0, 4.0, 2.0]), np.pi / np.array([5.0, 5.0, 4.0])
-    # 2 m is the flank of 3 m; 1 m is below a fiftieth
-    np.testing.assert_allclose(peaks, [third, fifth])
+    fit = weighted(np.arange(1.0, 8.0), [0.07, 0.01, 0.05, 0.0, 3.0, 0.5, 0.8])
+    peaks = windows(fit, 1e-3, (np.pi / 7, np.pi))
+    # 6 m is the flank of 7 m; 3 m is below a fiftieth
+    np.testing.assert_allclose(peaks, np.pi / np.array([[5.0, 6, 4], [7, 7, 6], [1, 2, 1]]))
+    assert len(windows(weighted(np.arange(1.0, 14.0), [1.0, 0.0] * 6 + [1.0]), 1e-3, (0, 9))) == 6
 
 
 def test_windows_are_never_narrower_than_a_lobe_either_side():
-    fit = weighted([3.0, 3.01, 3.02], [1.0, 2.0, 1.0])
+    fit = weighted([3.0, 3.01, 3.02, 3.03, 3.04], [1.0, 2.0, 1.0, 1.5, 1.0])
     ((_, low, high),) = windows(fit, 0.1, (0.1, 3.0))
     assert (low, high) == pytest.approx((np.pi / 3.01 - 0.1, np.pi / 3.01 + 0.1))
 
