@@ -75,8 +75,9 @@ int main(int count, char **names)
     }
     (void)puts("sample,doubt,mean_velocity,length_scale,timescale,heading,mean_velocity_error,"
                "length_scale_error,innovation,unexplained");
-    if (reference != NULL) {
-        (void)fgets(line, (int)sizeof line, reference);
+    if ((reference != NULL) && (fgets(line, (int)sizeof line, reference) == NULL)) {
+        (void)fprintf(stderr, "%s: empty\n", names[2]);
+        return 2;
     }
     while (fgets(line, (int)sizeof line, flight) != NULL) {
         double n[7] = {0};
