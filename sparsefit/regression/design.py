@@ -199,9 +199,14 @@ class Design:
 
     def raw_columns(self, index: IntArray) -> Array:
         """theta_J (m, j), dense, in the order that products want; a copy."""
-        out = np.empty((self.shape[0], len(index)), order="F")
-        for part, block in self.blocks():
-            out[part] = _array(block[:, index])
+        if self.in_memory and self.source.flags.f_contiguous:  # no block is copied on the way
+            out = np.asfortranarray(self.source[:, index], dtype=np.float64)
+            if self.weights is not None:
+                out *= self.weights[:, None]
+        else:
+            out = np.empty((self.shape[0], len(index)), order="F")
+            for part, block in self.blocks():
+                out[part] = _array(block[:, index])
         if self.direction is not None:
             out -= np.multiply.outer(self.direction, self.means[index])
         return out
