@@ -29,6 +29,7 @@ from sparsefit.study.plan import Asking, Batch, Experiment
 from sparsefit.study.toml_file import canonical_json, digest, numbered
 from sparsefit.study.worker import Answer, Ask
 
+AS_SAID = "as the study says"
 WORK = {"fly": "simulating the flight", "prepare": "building the library", "cases": "fitting"}
 
 
@@ -58,8 +59,9 @@ class FlightExperiment(Experiment):
     def cells(self) -> dict[str, list[Any]]:
         """Condition, candidate, title and factors of every cell."""
         cells, protocols = self.design.cells, self.design.protocols
-        worlds, readings = (_halves(protocols, flights=half) for half in (True, False))
-        words = _setting_words(cells)
+        worlds = _halves(protocols)
+        readings, words = _halves(protocols, worlds), _setting_words(cells)
+        several = len(set(readings.values())) > 1
         conditions, candidates, titles = list[str](), list[str](), list[str]()
         for cell in cells:
             own = {k: level for k, level in cell.levels.items() if not _of_flight(k)}
@@ -68,9 +70,13 @@ class FlightExperiment(Experiment):
             conditions.append(", ".join(filter(None, (world, *levels))))
             fitted = (cell.choice.name, cell.choice.label, cell.canonical_settings)
             candidates.append(digest(canonical_json([reading, own, *fitted]))[:12])
-            title = f"{reading}: {words[fitted]}" if reading else words[fitted]
-            chosen = ", ".join(level_words(k, v) for k, v in own.items())
-            titles.append(f"{title} with {chosen}" if own else title)
+            # The shortest name that tells it apart: what all candidates share is left out.
+            names = [reading] if several and reading != AS_SAID else []
+            names += [words[fitted]] if len(words) > 1 else []
+            chosen = [", ".join(level_words(k, v) for k, v in own.items())] if own else []
+            if not names and (several or not chosen):
+                names = [words[fitted]]
+            titles.append(" with ".join(filter(None, (": ".join(names), *chosen))))
         return {
             "condition": conditions,
             "candidate": candidates,
@@ -232,45 +238,48 @@ def level_words(key: str, level: object) -> str:
     return f"{key.partition('.')[2]} {words}"
 
 
-def _halves(protocols: Protocols, *, flights: bool) -> dict[str, str]:
-    """Words for what each protocol changes of the flights, or of the estimator.
+def _halves(protocols: Protocols, worlds: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Words for what each protocol changes of the flights or, given their words, of the estimator.
 
     Protocols that agree in this half share them: the name of the only one, the parts between commas
-    that the names of all of them have in common, or else the keys and values.
+    that the names of all of them have in common, or else the keys and values. Parts that name the
+    flights are left out of the others where what is left tells these apart.
     """
     halves: dict[str, list[str]] = {}
     for name, overrides in protocols.items():
-        own = {k: v for k, v in overrides.items() if _of_flight(k) == flights}
+        own = {k: v for k, v in overrides.items() if _of_flight(k) == (worlds is None)}
         halves.setdefault(canonical_json(own), []).append(name)
     if len(halves) == 1:
-        alone = len(protocols) == 1 and any(protocols.values()) and not flights
+        alone = len(protocols) == 1 and any(protocols.values()) and worlds is not None
         return {name: name if alone else "" for name in protocols}
-    words = {}
-    for half, alike in halves.items():
-        first, *others = [name.split(", ") for name in alike]
-        words[half] = ", ".join(p for p in first if all(p in other for other in others))
+
+    def common(names: Iterable[str]) -> list[str]:
+        first, *others = [name.split(", ") for name in names]
+        return [part for part in first if all(part in other for other in others)]
+
+    words = {half: ", ".join(common(alike)) for half, alike in halves.items()}
+    if worlds is not None:
+        shorter = {}
+        for half, alike in halves.items():
+            flown = common(worlds[name] for name in alike)
+            shorter[half] = ", ".join(part for part in common(alike) if part not in flown)
+        counts = Counter(shorter.values())
+        words |= {half: word for half, word in shorter.items() if word and counts[word] == 1}
     counts = Counter(words.values())
     for half, word in words.items():
         if not word or counts[word] > 1:
             content = (level_words(key, value) for key, value in json.loads(half).items())
-            words[half] = ", ".join(content) or "as the study says"
+            words[half] = ", ".join(content) or AS_SAID
     return {name: words[half] for half, alike in halves.items() for name in alike}
 
 
 def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:
-    """The words of each (back-end, label, settings): its label, and the settings that vary."""
+    """The words of each (back-end, label, settings): its label, and what varies within that."""
     every = dict.fromkeys((c.choice.name, c.choice.label, c.canonical_settings) for c in cells)
-    settings = {key: json.loads(key[2]) for key in every}
-    labels = Counter(label for _, label, _ in every)
+    settings = {key: {"backend": key[0], **json.loads(key[2])} for key in every}
     words = {}
-    for key in every:
-        name, label, _ = key
-        others = [settings[other] for other in every if other[0] == name]
-        # A label that was given for one setting alone says enough.
-        alone = label != name and labels[label] == 1
-        shown = [
-            f"{s}={value}" for s, value in settings[key].items()
-            if not alone and len({repr(other.get(s)) for other in others}) > 1
-        ]  # fmt: skip
-        words[key] = " ".join([label, *shown])
+    for key, own in settings.items():
+        alike = [settings[other] for other in every if other[1] == key[1]]
+        varied = [name for name in own if any(other.get(name) != own[name] for other in alike)]
+        words[key] = " ".join([key[1], *(f"{name}={own[name]}" for name in varied)])
     return words

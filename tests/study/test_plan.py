@@ -94,6 +94,27 @@ def test_protocols_are_worlds_and_readings_by_what_they_set(tmp_path: Path) -> N
     assert plan["candidate"].nunique() == 4
 
 
+CALM = '[[protocols]]\nname = "calm"\n'
+FORWARD = '[[protocols]]\nname = "forward, noise"\n"derivative.method" = "forward"\n'
+NOISE = '"flights.velocity_noise" = 0.2\n'
+LABELLED = '[[backends]]\nname = "lasso"\nlabel = "by OSQP"\nsolver = "osqp"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "titles"),
+    [
+        (f"{CALM}{CALM.replace('calm', 'noise')}{NOISE}{FORWARD}{NOISE}", ["lasso", "forward"]),
+        (CALM + FORWARD, ["calm", "forward, noise"]),
+        ('[sweep]\n"readout.refine" = ["none", "ladder"]', ["refine none", "refine ladder"]),
+        (LABELLED, ["lasso", "by OSQP"]),
+        (LABELLED.replace("by OSQP", "lasso"), ["lasso solver=homotopy", "lasso solver=osqp"]),
+    ],
+)
+def test_a_title_is_the_shortest_name_that_tells_it_apart(tmp_path: Path, text, titles) -> None:
+    plan = load(tmp_path, f'{HEAD}[[backends]]\nname = "lasso"\n{text}').plan()
+    assert plan["title"].unique().tolist() == titles
+
+
 def test_a_new_backend_or_level_changes_no_case_id(tmp_path: Path) -> None:
     small = set(load(tmp_path, HEAD + LASSO).plan()["case_id"])
     more = HEAD + LASSO + '[[backends]]\nname = "stlsq"\n[[protocols]]\nname = "default"\n'
