@@ -22,11 +22,14 @@ from sparsefit.flight.waves import Flow, Formula, WaveFlow
 
 
 class Cells(Flow):
-    """Base of the flows that are an array of cells: U0 [m/s], L [m] and (L_x, L_y) [m]."""
+    """Base of the flows that are an array of cells."""
 
-    mean_velocity: float
     length_scale: float
+    """sqrt(2) pi / sqrt(mean |k|^2) [m] of the two waves: L of square cells."""
+
     length_scales: tuple[float, float]
+    """(L_x, L_y) [m], the distances between the walls of a cell."""
+
     heading: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
 
@@ -41,7 +44,7 @@ class Cells(Flow):
         return 2.0 * max(self.length_scales)
 
     @property
-    def cells(self) -> tuple[Cells, ...]:  # type: ignore[override]
+    def cells(self) -> tuple[Cells, ...]:
         """The flow itself."""
         return (self,)
 
@@ -68,11 +71,7 @@ class CellularFlow(Cells):
         """Check both parameters and store them as floats."""
         store(self, positive, "m/s", "mean_velocity")
         store(self, positive, "m", "length_scale")
-
-    @property
-    def length_scales(self) -> tuple[float, float]:  # type: ignore[override]
-        """(L, L) [m]: the cells are square."""
-        return (self.length_scale, self.length_scale)
+        object.__setattr__(self, "length_scales", (self.length_scale, self.length_scale))
 
     def formula(self, functions: Any) -> Formula:
         """Return Eq. 1, as of `Flow`."""
@@ -135,11 +134,7 @@ class ShapedCells(Cells):
             raise InputError(f"angle must lie between 0 and pi [rad]; got {self.angle!r}")
         if self.swell >= 1.0:
             raise InputError(f"swell is a share of mean_velocity, below 1; got {self.swell!r}")
-
-    @property
-    def length_scale(self) -> float:  # type: ignore[override]
-        """The length sqrt(2) pi / sqrt(mean |k|^2) [m] of the two waves: L of square cells."""
-        return self.waves.length_scale
+        object.__setattr__(self, "length_scale", self.waves.length_scale)
 
     @cached_property
     def waves(self) -> WaveFlow:
@@ -200,14 +195,11 @@ class SuperposedFlow(Flow):
                 f"...), which may be empty beside a wind alone; got {given!r}"
             )
         object.__setattr__(self, "components", parts)
+        speeds = (getattr(part, "mean_velocity", math.nan) for part in self.components)
+        object.__setattr__(self, "mean_velocity", math.hypot(*speeds))  # no two share a wave
 
     @property
-    def mean_velocity(self) -> float:  # type: ignore[override]
-        """U0 = sqrt(2 <|w|^2>) [m/s] of the components, no two of which share a wave."""
-        return math.hypot(*(part.mean_velocity for part in self.components))
-
-    @property
-    def cells(self) -> tuple[Cells, ...]:  # type: ignore[override]
+    def cells(self) -> tuple[Cells, ...]:
         """The components that are cells."""
         return tuple(cell for part in self.components for cell in part.cells)
 

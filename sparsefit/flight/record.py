@@ -59,14 +59,13 @@ class Flight(Brief):
 
     @classmethod
     def from_positions(
-        cls, time: object, position: object, vehicle: PointMassVehicle, **others: Any
+        cls, time: Any, position: Any, vehicle: PointMassVehicle, **others: Any
     ) -> Flight:
         """Return a flight whose log has positions only; the arguments are those of the class.
 
         The velocity is the difference quotient of the position; no estimate reads it.
         """
-        x: Any = position
-        return cls(time, x, x, vehicle, velocity_measured=False, **others)  # type: ignore[arg-type]
+        return cls(time, position, position, vehicle, velocity_measured=False, **others)
 
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""

@@ -19,6 +19,7 @@ from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
 from sparsefit.flight.waves import Flow, FlowField, check_flow
 
 EVALUATIONS = (10_000_000, 2_000)  # of the right-hand side: in all, and more for each sample
+BURST = 1_000_000  # of them beyond the share of the time: who needs too many is refused early
 
 
 def simulate_flight(
@@ -100,10 +101,10 @@ def simulate_flight(
     kicks = _kicks(kick, time, integer("substeps", substeps, 1), process)
     logged = None if thrust is None else thrust.at(time)
     speed = float(getattr(flow, "mean_velocity", math.nan))
-    pace = vehicle.rate + 2.0 * math.pi * speed / period if period else math.nan
-    stride = 0.25 / pace if pace > 0 else 0.0  # that long DOP853 keeps to the tolerance
-    most = EVALUATIONS[0] + EVALUATIONS[1] * len(time)
-    states = _integrate(_right_hand_side(flow, vehicle, thrust, most), state, time, kicks, stride)
+    fastest = vehicle.rate + 2.0 * math.pi * speed / period if period else math.nan
+    stride = 0.25 / fastest if fastest > 0 else 0.0  # that long DOP853 keeps to the tolerance
+    pace = (EVALUATIONS[0] + EVALUATIONS[1] * len(time)) / float(time[-1])
+    states = _integrate(_right_hand_side(flow, vehicle, thrust, pace), state, time, kicks, stride)
     if logged is not None:
         logged = logged + push * pushes.standard_normal(logged.shape)
     return Flight(
@@ -134,12 +135,13 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
 
 
 def _right_hand_side(
-    flow: FlowField | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None, most: int
+    flow: FlowField | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None, pace: float
 ) -> Callable[[float, Array], list[float]]:
     """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more.
 
     The compiled integrator calls it: it raises nothing. It is NaN where a step has left all
-    places, which `math.sin` refuses, and after ``most`` evaluations; `_integrate` sees both.
+    places, which `math.sin` refuses, and after more evaluations than ``pace`` [1/s] and `BURST`
+    allow; `_integrate` sees both.
     """
 
     flow_at: Any = getattr(flow, "velocity", lambda _x, _y, _t: (0.0, 0.0))
@@ -154,7 +156,7 @@ def _right_hand_side(
         count += 1
         x, y, vx, vy = state.tolist()
         try:
-            wx, wy = flow_at(x, y, t) if count <= most else (math.nan, math.nan)
+            wx, wy = flow_at(x, y, t) if count <= BURST + pace * t else (math.nan, math.nan)
         except (ValueError, OverflowError):
             wx = wy = math.nan
         mx, my = push(t) if push else (0.0, 0.0)

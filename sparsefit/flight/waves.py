@@ -22,6 +22,7 @@ own, normal, so that a velocity forgets itself as exp(-pi/4 (t/T)^2), of integra
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
@@ -57,19 +58,21 @@ def check_flow(flow: object) -> None:
         )
 
 
-class Flow:
+class Flow(ABC):
     """Base of the flows of this package: waves of a stream function, and the cells among them."""
 
     mean_velocity: float
-    """U0 = sqrt(2 <|w|^2>) [m/s]."""
-
-    cells: tuple[Any, ...] = ()
-    """The parts of the flow that an estimator seeks."""
+    """U0 = sqrt(2 <|w|^2>) [m/s] of waves with different wavevectors."""
 
     @property
+    def cells(self) -> tuple[Any, ...]:
+        """The parts of the flow that an estimator seeks."""
+        return ()
+
+    @property
+    @abstractmethod
     def period(self) -> float:
         """The side [m] of the square from which the start of a flight is drawn."""
-        raise NotImplementedError
 
     def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
         """Return the flow velocity [m/s], shape (..., 2), at x, y [m] and t [s].
@@ -79,18 +82,18 @@ class Flow:
         places = np.broadcast_arrays(*(np.asarray(given, np.float64) for given in (x, y, t)))
         return np.stack(np.broadcast_arrays(*self.formula(np)(*places), places[0])[:2], axis=-1)
 
+    @abstractmethod
     def formula(self, functions: Any) -> Formula:
         """Return w(x, y, t) [m/s] as a function of floats or arrays.
 
         Args:
             functions: where it has its sines from: `math` for floats, `numpy` for arrays.
         """
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, eq=False)
 class WaveFlow(Flow):
-    """A flow whose stream function is a sum of plane waves.
+    """A flow whose stream function is a sum of plane waves; its U0 is ``mean_velocity`` [m/s].
 
     Args:
         wavevectors: k [rad/m], (n, 2), none of them 0.
@@ -117,12 +120,8 @@ class WaveFlow(Flow):
         store(self, frozen, (count,), "cosine", "sine", "frequencies")
         if not count or not np.hypot(*self.wavevectors.T).all():
             raise InputError("WaveFlow needs at least one wave, and no wavevector may be (0, 0)")
-
-    @property
-    def mean_velocity(self) -> float:  # type: ignore[override]
-        """U0 = sqrt(2 <|w|^2>) [m/s] of waves with different wavevectors."""
         squares = np.sum(self.wavevectors**2, axis=1) * (self.cosine**2 + self.sine**2)
-        return math.sqrt(float(np.sum(squares)))
+        object.__setattr__(self, "mean_velocity", math.sqrt(float(np.sum(squares))))
 
     @property
     def length_scale(self) -> float:
@@ -190,16 +189,12 @@ class Turbulence(Flow):
     def __post_init__(self) -> None:
         """Check the parameters and store the numbers as floats."""
         store(self, positive, "m/s", "intensity")
+        object.__setattr__(self, "mean_velocity", 2.0 * self.intensity)
         store(self, positive, "m", "length")
         if self.memory is not None:
             store(self, positive, "s", "memory")
         one_of("spectrum of turbulence", self.spectrum, SPECTRA)
         store(self, integer, 0, "seed")
-
-    @property
-    def mean_velocity(self) -> float:  # type: ignore[override]
-        """U0 = sqrt(2 <|w|^2>) [m/s]: twice the intensity."""
-        return 2.0 * self.intensity
 
     @property
     def period(self) -> float:

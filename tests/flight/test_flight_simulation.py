@@ -202,8 +202,19 @@ def test_a_vehicle_that_follows_the_flow_at_once_is_refused(vehicle):
 @pytest.mark.parametrize("flow", [CellularFlow(1e6, 1.0), CellularFlow(1.0, 1e-9)])
 def test_an_equation_too_fast_is_refused(flow, monkeypatch):
     monkeypatch.setattr(simulation, "EVALUATIONS", (60_000, 0))  # which would take seconds
+    monkeypatch.setattr(simulation, "BURST", 0)
     with pytest.raises(InputError, match="too stiff or too fast; raise response_time"):
         fly(flow)
+
+
+def test_a_flight_that_takes_too_long_is_refused_near_its_start(monkeypatch):
+    # 10 evaluations in a response time: 1e5 a second, of which 0.2 may be
+    monkeypatch.setattr(simulation, "EVALUATIONS", (20_000, 0))
+    monkeypatch.setattr(simulation, "BURST", 4_000)
+    with pytest.raises(InputError, match=r"past t=0\.0[1-9] s: it is too stiff"):
+        fly(vehicle=PointMassVehicle(1e-4))
+    monkeypatch.setattr(simulation, "EVALUATIONS", (400_000, 0))
+    assert fly(vehicle=PointMassVehicle(1e-4)).samples == 101
 
 
 def test_anything_with_a_velocity_can_be_flown():

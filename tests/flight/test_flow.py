@@ -12,7 +12,7 @@ from sparsefit.errors import InputError
 from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.flight.waves import Turbulence, WaveFlow
+from sparsefit.flight.waves import Flow, Turbulence, WaveFlow
 
 PLAIN = CellularFlow(6.0, 4.0)
 WAVES = WaveFlow([[1.0, 0.5], [-0.3, 0.8]], [0.4, -1.0], [0.2, 0.5], frequencies=[0.3, -0.2])
@@ -130,6 +130,26 @@ def test_sums_name_their_cells():
     nested = SuperposedFlow((SuperposedFlow((PLAIN, gusts)), turned))
     assert nested.cells == both.cells
     np.testing.assert_allclose(nested.velocity(X, Y, 1.0), both.velocity(X, Y, 1.0), atol=1e-13)
+
+
+class Shear(Flow):
+    """A flow of a reader's own: u = 5 sin(pi y/4)."""
+
+    period = 8.0
+
+    def formula(self, functions):
+        return lambda x, y, t: (5.0 * functions.sin(math.pi * y / 4.0) + 0.0 * x, 0.0 * y)
+
+
+def test_a_flow_of_ones_own_has_a_formula_and_a_period_and_can_be_summed():
+    vehicle, wave = PointMassVehicle(0.5), WaveFlow([[0.0, math.pi / 4]], [-20.0 / math.pi], [0.0])
+    options = {"duration": 1.0, "sample_rate": 50.0, "seed": 3}
+    for own, twin in ((Shear(), wave), *((SuperposedFlow((f, PLAIN)) for f in (Shear(), wave)),)):
+        mine, theirs = (simulate_flight(flow, vehicle, **options) for flow in (own, twin))
+        np.testing.assert_allclose(mine.position, theirs.position, atol=1e-10)
+    assert (Shear().cells, own.cells) == ((), (PLAIN,))
+    with pytest.raises(TypeError, match="abstract"):
+        type("Unfinished", (Flow,), {"period": 1.0})()
 
 
 def test_flights_through_a_drifting_pattern_are_flights_in_its_frame():
