@@ -203,70 +203,127 @@ def _other(kind: str, rng: np.random.Generator) -> Field:
     return velocity
 
 
+@dataclass(frozen=True)
+class Draft:
+    """A flight before it is flown: all that is drawn of it but the noise of its log."""
+
+    rng: np.random.Generator
+    truth: Truth
+    duration: float
+    rate: float
+    vehicle: sf.PointMassVehicle
+    other: Field | None
+    gusts: Floats
+    gust_slopes: Floats
+    ahead: Floats
+    burst: Floats
+    period: float
+    start: Floats
+    kicks: Floats
+
+
 def draw(world: World, flights: int, seed: int, first: int = 0) -> list[tuple[sf.Flight, Truth]]:
     """Flights of a world with their truth, by a seed, from the first wanted on."""
     import zlib
 
     name = zlib.crc32(world.name.encode())
-    return [_draw(world, np.random.default_rng([seed, name, i])) for i in range(first, flights)]
+    drafts = [_draft(world, np.random.default_rng([seed, name, i])) for i in range(first, flights)]
+    every, drawn = _flown(world, drafts), []
+    for draft, states in zip(drafts, every.transpose(1, 0, 2), strict=True):
+        flight = _logged(states[: len(draft.kicks) + 1], draft, world.sensor)
+        decayed = 1.0 - 0.5 * world.air.get("decay", 0.0)  # U0 is that of mid-flight
+        truth = replace(draft.truth, mean_velocity=decayed * draft.truth.mean_velocity)
+        drawn.append((flight, truth))
+    return drawn
 
 
-def _draw(world: World, rng: np.random.Generator) -> tuple[sf.Flight, Truth]:
-    truth, air, body, sensor = _cells(rng, world), world.air, world.body, world.sensor
+def _draft(world: World, rng: np.random.Generator) -> Draft:
+    truth, air = _cells(rng, world), world.air
     duration = rng.uniform(*world.flow.get("duration", (10.0, 30.0)))
     rate = rng.choice([20.0, 40.0, 50.0, 100.0])
     tau, push = rng.uniform(0.1, 0.5), rng.uniform(3, 8)
     direction = rng.uniform(0, 2 * np.pi)
     thrust = push * np.array([np.cos(direction), np.sin(direction)])
     other = _other(air["field"], rng) if "field" in air else None
-    waves, slopes = truth.waves, truth.waves[:, 1::-1] * [1, -1]
-    speed = truth.mean_velocity
-    extra = np.zeros((0, 5))
+    gusts, slopes = np.zeros((0, 5)), np.zeros((0, 2))
     if "turbulence" in air:
         share, kind = air["turbulence"]
-        extra, more = _turbulence(rng, kind, share * speed / 1.0, truth.length_scale, speed)
+        speed = truth.mean_velocity
+        gusts, slopes = _turbulence(rng, kind, share * speed, truth.length_scale, speed)
     heading = rng.uniform(0, 2 * np.pi)
     ahead = np.array([np.cos(heading), np.sin(heading)])
     burst, period = rng.uniform(0, 1, 3), rng.uniform(3, 8)
+    start = rng.uniform(-3, 3, 2)
+    steps = int(np.ceil((duration + 1.0) / STEP))
+    kicks = rng.normal(size=(steps, 2)) * air.get("q", 0.0) * np.sqrt(STEP)
+    vehicle = sf.PointMassVehicle(tau, tuple(thrust))
+    return Draft(
+        rng, truth, duration, rate, vehicle, other, gusts, slopes, ahead, burst, period, start,
+        kicks,
+    )  # fmt: skip
+
+
+def _flown(world: World, drafts: list[Draft]) -> Floats:
+    """The states (steps + 1, flights, 6) x, v and the relative wind that a lagging drag follows."""
+
+    def each(values: list) -> Floats:
+        return np.array(values)[:, None]
+
+    air, body, count = world.air, world.body, len(drafts)
+    waves = np.array([own.truth.waves for own in drafts])
+    along = waves[..., 1::-1] * [1, -1]
+    gusts = np.array([own.gusts for own in drafts])
+    slopes = np.array([own.gust_slopes for own in drafts])
+    duration = each([own.duration for own in drafts])
+    burst, period = np.array([own.burst for own in drafts]), each([own.period for own in drafts])
+    ahead = np.array([own.truth.mean_velocity * own.ahead for own in drafts])
+
+    def summed(waves: Floats, slopes: Floats, x: Floats, t: float) -> Floats:
+        phase = waves[..., 0] * x[:, :1] + waves[..., 1] * x[:, 1:] - waves[..., 2] * t
+        heights = waves[..., 4] * np.cos(phase) - waves[..., 3] * np.sin(phase)
+        return (heights[:, None] @ slopes)[:, 0]
 
     def flow(x: Floats, t: float) -> Floats:
-        if other is not None:
-            total = np.array(other(x[0], x[1], t))
+        if drafts[0].other is not None:
+            total = np.array([own.other(*at, t) for own, at in zip(drafts, x, strict=True)])
         else:
-            phase = waves[:, :2] @ x - waves[:, 2] * t
-            total = (waves[:, 4] * np.cos(phase) - waves[:, 3] * np.sin(phase)) @ slopes
-        swell = air.get("swell", 0.0) * np.sin(2 * np.pi * (t / duration + burst[0]))
-        total = total * (1 + swell) * (1 - air.get("decay", 0.0) * t / duration)
-        if len(extra):
-            phase = extra[:, :2] @ x - extra[:, 2] * t
-            gust = (extra[:, 4] * np.cos(phase) - extra[:, 3] * np.sin(phase)) @ more
+            total = summed(waves, along, x, t)
+        if "swell" in air:
+            total *= 1 + air["swell"] * np.sin(2 * np.pi * (t / duration + burst[:, :1]))
+        total *= 1 - air.get("decay", 0.0) * t / duration
+        if "turbulence" in air:
+            gust = summed(gusts, slopes, x, t)
             if air["turbulence"][1] == "bursts":
-                gust *= 2.0 * np.clip(np.sin(2 * np.pi * (t / period + burst[1])), 0, None)
+                gust *= 2 * np.clip(np.sin(2 * np.pi * (t / period + burst[:, 1:2])), 0, None)
             total = total + gust
-        wind = air.get("wind", 0.0) + air.get("growth", 0.0) * t / duration
-        return total + ahead * speed * wind
+        if "wind" in air or "growth" in air:
+            total += ahead * (air.get("wind", 0.0) + air.get("growth", 0.0) * t / duration)
+        return total
 
-    true_tau, quadratic = tau * body.get("tau", 1.0), body.get("quadratic", 0.0)
+    tau = each([own.vehicle.response_time * body.get("tau", 1.0) for own in drafts])
+    quadratic, lag = body.get("quadratic", 0.0), body.get("lag", 0.0)
     turn = np.radians(body.get("turn", 0.0))
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    push = body.get("thrust", 1.0) * rotation @ thrust
-    lag = body.get("lag", 0.0)
+    push = [own.vehicle.thrust_acceleration for own in drafts] @ rotation.T * body.get("thrust", 1)
 
     def rate_of(state: Floats, t: float) -> Floats:
-        x, v, r = state[:2], state[2:4], state[4:6]
-        relative = flow(x, t) - v
-        drag = r if lag else relative
+        relative, rates = flow(state[:, :2], t) - state[:, 2:4], np.zeros_like(state)
+        drag = state[:, 4:] if lag else relative
         light = 1.0 - (1.0 - body.get("mass", 1.0)) * t / duration
-        force = drag * (1 + quadratic * np.hypot(*drag)) / true_tau / light
-        slow = (relative - r) / lag if lag else np.zeros(2)
-        return np.concatenate([v, force + push / light, slow])
+        stretch = 1 + quadratic * np.hypot(*drag.T)[:, None] if quadratic else 1.0
+        rates[:, :2], rates[:, 2:4] = state[:, 2:4], (drag * stretch / tau + push) / light
+        if lag:
+            rates[:, 4:] = (relative - drag) / lag
+        return rates
 
-    steps = int(np.ceil((duration + 1.0) / STEP))
-    state, q = np.zeros(6), air.get("q", 0.0)
-    state[:2] = rng.uniform(-3, 3, 2)
-    state[2:4] = flow(state[:2], -0.5)
-    kicks = rng.normal(size=(steps, 2)) * q * np.sqrt(STEP)
-    every = np.empty((steps + 1, 6))
+    steps = max(len(own.kicks) for own in drafts)
+    kicks = np.zeros((steps, count, 2))
+    for place, own in enumerate(drafts):
+        kicks[: len(own.kicks), place] = own.kicks
+    state = np.zeros((count, 6))
+    state[:, :2] = [own.start for own in drafts]
+    state[:, 2:4] = flow(state[:, :2], -0.5)
+    every = np.empty((steps + 1, count, 6))
     for i in range(steps):
         t = i * STEP - 0.5
         every[i] = state
@@ -275,19 +332,17 @@ def _draw(world: World, rng: np.random.Generator) -> tuple[sf.Flight, Truth]:
         k3 = rate_of(state + 0.5 * STEP * k2, t + 0.5 * STEP)
         k4 = rate_of(state + STEP * k3, t + STEP)
         state = state + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-        state[2:4] += kicks[i]
+        state[:, 2:4] += kicks[i]
     every[-1] = state
-    grid = np.arange(steps + 1) * STEP - 0.5
-    decayed = 1.0 - 0.5 * air.get("decay", 0.0)  # U0 is that of mid-flight
-    believed = sf.PointMassVehicle(tau, tuple(thrust))
-    flight = _logged(grid, every, rng, rate, duration, sensor, believed)
-    return flight, replace(truth, mean_velocity=speed * decayed)
+    return every
 
 
-def _logged(grid, every, rng, rate, duration, sensor, vehicle) -> sf.Flight:
+def _logged(every: Floats, draft: Draft, sensor: dict) -> sf.Flight:
     from scipy.interpolate import CubicSpline
 
-    stamps = np.arange(int(duration * rate)) / rate
+    rng, rate = draft.rng, draft.rate
+    grid = np.arange(len(every)) * STEP - 0.5
+    stamps = np.arange(int(draft.duration * rate)) / rate
     keep = np.ones(len(stamps), bool)
     if "dropouts" in sensor:
         keep = rng.random(len(stamps)) >= sensor["dropouts"]
@@ -328,7 +383,7 @@ def _logged(grid, every, rng, rate, duration, sensor, vehicle) -> sf.Flight:
             v[start : start + 5] += rng.normal(size=2) * 5.0
     if "quantum" in sensor:
         x, v = (np.round(each / sensor["quantum"]) * sensor["quantum"] for each in (x, v))
-    return sf.Flight(stamps, x, v, vehicle)
+    return sf.Flight(stamps, x, v, draft.vehicle)
 
 
 def answer(estimator: sf.Estimator, flight: sf.Flight, truth: Truth, world: World) -> dict:
