@@ -1,6 +1,7 @@
 # make study: the main job; make test: the tests; make evidence: every shipped study. All make .venv
 # first where there is none.
-# A study that was stopped goes on; a finished one is run afresh.
+# A study that was stopped goes on; a finished one is run afresh. What it writes lies in build/, and is
+# held against the results that ship, as times are of a machine.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -10,7 +11,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 study: export PYTHONDONTWRITEBYTECODE :=
 study: $(VENV)/.installed
-	$(BIN)/sparsefit study run studies/table2.toml $(if $(wildcard results/table2/cases.sqlite),,--fresh)
+	$(BIN)/sparsefit study run studies/table2.toml --results build/results \
+		$(if $(wildcard build/results/table2/cases.sqlite),,--fresh)
+	$(BIN)/sparsefit study compare results/table2 build/results/table2 || true
 
 # Every shipped study by the code that is here. A case that this code has computed is not computed
 # again, so that it goes on where it was stopped.

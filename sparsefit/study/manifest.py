@@ -30,7 +30,7 @@ MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
 STUDY = (  # files of `study/` that no worker, question or answer passes through
     *("__init__", "compare", "dask_executor", "entries", "evidence", "export", "figures"),
-    *("latency", "measures", "merging", "page", "panels", "pool", "resampling", "runner"),
+    *("latency", "measures", "page", "panels", "pool", "resampling", "runner"),
     *("selection", "solver_times", "store", "study", "table", "tables", "trials"),
 )
 # No case is computed by these: they run, keep and show what others computed.

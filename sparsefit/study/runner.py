@@ -1,12 +1,15 @@
 """Run a study: compute the cases that have no row, and leave finished results behind.
 
 One run at a time holds a results folder. Rows are on the disk half a second after they are known;
-an interrupted run, by Ctrl-C or SIGKILL, goes on from there.
+an interrupted run, by Ctrl-C or SIGKILL, goes on from there. Parts that ran in several places, with
+`--only` say, are brought together by `merge`.
 """
 
 from __future__ import annotations
 
 import fcntl
+import json
+import math
 import os
 import time
 from collections import Counter
@@ -14,13 +17,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
-from sparsefit.errors import InputError, is_integer
-from sparsefit.study.manifest import write_manifest
+from sparsefit.errors import InputError, is_integer, told_with
+from sparsefit.study.columns import PARAMETERS
+from sparsefit.study.export import CASES, Row
+from sparsefit.study.manifest import MANIFEST, check_whole, write_manifest
 from sparsefit.study.plan import Plan
 from sparsefit.study.pool import outcomes
-from sparsefit.study.store import Store, clear, discard
+from sparsefit.study.store import STORE, Store, discard
 from sparsefit.whole_file import refusing
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]
@@ -81,7 +86,7 @@ def run(
     """Run a study into its folder: cases that have a row there are not computed again.
 
     A row counts for any study that plans its case: one that changed computes what is new, and
-    keeps aside what it no longer plans.
+    leaves out what it no longer plans.
 
     Args:
         processes: how many work, None for as many as there are processors.
@@ -108,7 +113,7 @@ def run(
     count = 1 if experiment.alone else processes or len(here(0))
     with locked(folder):
         if fresh:
-            clear(folder)
+            discard(folder, CASES, MANIFEST)
         store = Store.read(folder, plan)
         wanted = ~store.done
         if retry_failed:
@@ -144,7 +149,7 @@ def run(
             made = {"resumed": resumed, "computed": computed, "seconds": seconds}
             summary = RunSummary.of(store, **made, processes=count)
             if summary.finished:
-                remaining = store.export()
+                store.export()
                 definition = experiment.definition
                 content = {
                     "study": definition.name,
@@ -157,7 +162,7 @@ def run(
                     "processes": count,
                 }
                 write_manifest(folder, content)
-        if summary.finished and not remaining:
+        if summary.finished:
             discard(folder)
     return summary
 
@@ -182,3 +187,62 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(place)
+
+
+class MergedPart(NamedTuple):
+    """One folder that rows were taken from: how many it had, and how many were new."""
+
+    folder: Path
+    rows: int
+    taken: int
+
+
+def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedPart]:
+    """Take into the folder of a study the rows that the parts, results folders of it, have.
+
+    No file is believed without the checksum that its manifest tells. Once all rows are there the
+    study is finished, as if it had been run here.
+
+    Raises:
+        InputError: if a part is no results folder, is damaged or of another study, if two rows of
+            one case differ (nothing is taken then), the folder is in use, or the study is of
+            solvers, which are timed by turns in one run.
+    """
+    name = plan.experiment.definition.name
+    if plan.experiment.alone:
+        words = "its solvers are timed by turns, in one run: there is nothing to merge"
+        raise InputError(f"{name}: {words}")
+    merged, stored = list[MergedPart](), dict[Path, list[Row]]()
+    for part in map(Path, parts):
+        if (part / CASES).is_file():
+            check_whole(part / CASES, strict=True)
+        elif not (part / STORE).is_file():
+            raise InputError(f"{part}: holds no rows of {name}: give a results folder of the study")
+        with told_with(part):
+            stored[part] = Store.read(part, plan).rows()
+    with locked(folder):
+        rows = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
+        for part, theirs in stored.items():
+            for row in theirs:
+                first, other = rows.setdefault(row.key, (part, row))
+                if not _alike(row, other):
+                    case = plan.case_ids[plan.place_of[row.key]]
+                    words = f"differs between {first} and {part}: leave one of them out"
+                    raise InputError(f"case {case} {words}")
+            taken = sum(first == part for first, _ in rows.values())
+            merged.append(MergedPart(part, len(theirs), taken))
+        with Store.opened(folder, plan) as own:
+            for first, row in rows.values():
+                if first != folder:
+                    own.put_row(row)
+    if len(rows) == plan.size:  # only its order is left
+        run(plan, folder, processes=1)
+    return merged
+
+
+def _alike(first: Row, second: Row) -> bool:
+    """Whether two rows of one case agree, numbers to 6 digits, as on another machine."""
+    mine, other = json.loads(first.body), json.loads(second.body)
+    names = [f"est_{name}" for name in PARAMETERS]
+    near = (math.isclose(mine.get(n, 0.0), other.get(n, 0.0), rel_tol=1e-6) for n in names)
+    return first.status == second.status and all(near)

@@ -3,11 +3,12 @@
     with Store.opened(folder, plan) as store:      # one writer, by the folder's lock
         store.put(outcome, version)
         store.sync()                               # on the disk
-        store.export()                             # Parquet, in plan order, with its checksums
+        store.export()                             # Parquet, in plan order
 
-A row is kept by what it is (its identity) and has a checksum of its own; of two rows for a case the
-later one counts. A process that is killed leaves all that was committed. A damaged row is none; a
-damaged file is refused in a line. Rows that the study no longer plans stay until it does again.
+`cases.sqlite` begins with the rows of an earlier export, in one transaction, and counts alone as
+long as it is there. A row is kept by what it is (its identity) and has a checksum of its own: a
+damaged one is none, a damaged file is refused in a line. A process that is killed leaves all that
+was committed. Rows that the study no longer plans go with the next export.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study.columns import FAILED, STATUSES, Outcome, body_of
-from sparsefit.study.export import CASES, Row, exported_rows, is_regular, write_rows
+from sparsefit.study.export import Row, exported_rows, is_regular, write_rows
 from sparsefit.study.manifest import MANIFEST, read_record
 from sparsefit.study.plan import Plan
 from sparsefit.whole_file import refusing
@@ -43,9 +44,10 @@ REMEDIES = {  # by what SQLite says
 class Store:
     """The rows of one results folder against a plan.
 
-    status and version: of each case of the plan, empty where there is no row; exported: whether all
-    rows stand in `cases.parquet`; damaged: rows whose checksum is wrong; unplanned: rows of cases
-    that are not planned; pending: rows to be written at the next `sync`.
+    status and version: of each case of the plan, empty where there is no row; exported: whether
+    they were read from `cases.parquet`; finished: whether it is of this very study, and holds every
+    case; damaged: rows whose checksum or status is wrong; unplanned: rows of cases that are not
+    planned; pending: rows to be written at the next `sync`.
     """
 
     folder: Path
@@ -53,6 +55,7 @@ class Store:
     status: list[str]
     version: list[str]
     exported: bool = False
+    finished: bool = False
     damaged: int = 0
     unplanned: int = 0
     base: sqlite3.Connection | None = None
@@ -68,30 +71,24 @@ class Store:
                 them are of another study.
         """
         store = cls(folder, plan, [""] * plan.size, [""] * plan.size)
-        for row in exported_rows(folder, plan, brief=True):
-            store._place(row)
-        store.exported = all(store.status) and not store.unplanned
-        for stored in store._stored():
-            store.exported = False
-            store._place(stored)
+        for row in store._every(brief=True):
+            place = None if row is None else plan.place_of.get(row.key)
+            if row is None:
+                store.damaged += 1
+            elif place is None:
+                store.unplanned += 1
+            else:
+                store.status[place], store.version[place] = row.status, row.version or "unknown"
+        made = read_record(folder / MANIFEST) or {}
+        same = made.get("study_hash") == plan.experiment.definition.hash
         if store.unplanned and not any(store.status):
-            made = read_record(folder / MANIFEST) or {}
-            other = made.get("study_hash") != plan.experiment.definition.hash
-            which = f" (hash {str(made['study_hash'])[:12]})" if made and other else ""
+            which = f" (hash {str(made['study_hash'])[:12]})" if made and not same else ""
             raise InputError(
                 f"{folder} was made by a different study{which}, and no case of it is of this one: "
                 "study run --fresh starts over, or rename this study"
             )
+        store.finished = same and store.exported and all(store.status) and not store.unplanned
         return store
-
-    def _place(self, row: Row | None) -> None:
-        place = None if row is None else self.plan.place_of.get(row.key)
-        if row is None:
-            self.damaged += 1
-        elif place is None:
-            self.unplanned += 1
-        elif row.status in STATUSES:
-            self.status[place], self.version[place] = row.status, row.version or "unknown"
 
     @classmethod
     @contextmanager
@@ -99,8 +96,10 @@ class Store:
         """The store to write to; synced at the end."""
         store, path = cls.read(folder, plan), folder / STORE
         with _telling(path), closing(sqlite3.connect(path, timeout=60.0)) as base:
-            base.execute(SCHEMA)
+            if store.exported:
+                store.pending = [row for row in store._every() if row]
             store.base = base
+            store.sync()
             try:
                 yield store
                 store.sync()
@@ -131,13 +130,6 @@ class Store:
     def _which(self, cases: list[bool]) -> BoolArray:
         return np.array(cases, dtype=bool).reshape(self.plan.shape)
 
-    @property
-    def finished(self) -> bool:
-        """Whether every planned case stands in `cases.parquet`, and nothing beside it."""
-        made = read_record(self.folder / MANIFEST) or {}
-        same = made.get("study_hash") == self.plan.experiment.definition.hash
-        return same and self.exported and all(self.status)
-
     def put(self, outcome: Outcome, version: str) -> None:
         """Write a row of the plan, made by this version, in the place of an earlier one."""
         place = outcome.unit * self.plan.shape[1] + outcome.cell
@@ -146,8 +138,7 @@ class Store:
         self.status[place], self.version[place] = outcome.status, version
 
     def put_row(self, row: Row) -> None:
-        """Write a row, planned or not, at the next `sync`."""
-        self.exported = False
+        """Write a row at the next `sync`."""
         self.pending.append(row)
         if len(self.pending) >= 512:
             self.sync()
@@ -161,70 +152,50 @@ class Store:
             raise InputError(f"{path}: was removed during the run: run it again")
         assert self.base is not None
         with _telling(path), self.base:
+            self.base.execute("BEGIN")  # the first time, the table appears with its rows
+            self.base.execute(SCHEMA)
             rows = [(*row, row.crc) for row in self.pending]
             self.base.executemany("INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?, ?)", rows)
         self.pending, self.synced = [], time.monotonic()
 
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> list[Row]:
         """The whole rows of the plan, in its order."""
-        rows = self._every()
-        yield from (rows[key] for key in self.plan.keys if key in rows)
+        rows = {row.key: row for row in self._every() if row}
+        return [rows[key] for key in self.plan.keys if key in rows]
 
-    def _every(self) -> dict[str, Row]:
-        """Every whole row by its key: those of `cases.sqlite` over those of `cases.parquet`."""
-        rows = (*exported_rows(self.folder, self.plan), *self._stored())
-        return {row.key: row for row in rows if row}
-
-    def _stored(self) -> Iterator[Row | None]:
-        """Every row of `cases.sqlite`; None for one whose checksum is wrong."""
-        path, base = self.folder / STORE, self.base
-        if base is None and not is_regular(path):
-            return
-        with _telling(path):
-            uri = f"{path.absolute().as_uri()}?mode=rw"
-            base = base or sqlite3.connect(uri, uri=True, timeout=10.0)
-            base.text_factory = lambda text: text.decode(errors="replace")  # of a damaged row
-            try:
-                every = base.execute("SELECT key, status, reason, version, body, crc FROM cases")
-                for *content, crc in every:
-                    row = Row(*content) if all(isinstance(p, str) for p in content) else None
-                    yield row if row is not None and row.crc == crc else None
-            except sqlite3.OperationalError as error:
-                if "no such table" not in str(error):
-                    raise
-            finally:
-                if base is not self.base:
-                    base.close()
-
-    def export(self) -> bool:
-        """Write `cases.parquet`, the rows of the plan in its order, whole or not at all.
-
-        Of the store only the rows stay that the study does not plan. Returns whether there are any.
+    def _every(self, *, brief: bool = False) -> Iterator[Row | None]:
+        """Every row of `cases.sqlite`, or where there is none of `cases.parquet`; None for one
+        whose checksum or status is wrong. brief: exported ones without their bodies.
         """
+        path = self.folder / STORE
+        self.exported = not is_regular(path)
+        if not self.exported:
+            uri = f"{path.absolute().as_uri()}?mode=rw"
+            with _telling(path), closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as base:
+                base.text_factory = lambda text: text.decode(errors="replace")  # of a damaged row
+                if base.execute("SELECT 1 FROM sqlite_master WHERE name = 'cases'").fetchone():
+                    every = base.execute(
+                        "SELECT key, status, reason, version, body, crc FROM cases"
+                    )
+                    for *content, crc in every:
+                        row = Row(*content) if all(isinstance(p, str) for p in content) else None
+                        yield row if row and row.crc == crc and row.status in STATUSES else None
+                    return
+            self.exported = True
+        for exported in exported_rows(self.folder, self.plan, brief=brief):
+            yield exported if exported.status in STATUSES else None
+
+    def export(self) -> None:
+        """Write `cases.parquet`, the rows of the plan in its order, whole or not at all."""
         self.sync()
-        others = self._every()
-        planned = [others.pop(key) for key in self.plan.keys if key in others]
-        self.pending = list(others.values())  # those of an earlier export, too
-        self.sync()
-        write_rows(self.folder, self.plan, planned)
-        assert self.base is not None
-        with _telling(self.folder / STORE), self.base:
-            keys = [(row.key,) for row in planned if others]
-            self.base.executemany("DELETE FROM cases WHERE key = ?", keys)
-        self.exported = True
-        return bool(others)
+        write_rows(self.folder, self.plan, self.rows())
 
 
-def discard(folder: Path, *others: str) -> None:
+def discard(folder: Path, *exported: str) -> None:
     """Remove `cases.sqlite`, once everything in it is exported, and other files of the folder."""
-    for name in (STORE, f"{STORE}-journal", *others):
+    for name in (STORE, f"{STORE}-journal", *exported):
         with refusing(folder / name):
             (folder / name).unlink(missing_ok=True)
-
-
-def clear(folder: Path) -> None:
-    """Remove the rows and the manifest of whatever study was run here."""
-    discard(folder, CASES, MANIFEST)
 
 
 @contextmanager

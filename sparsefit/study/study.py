@@ -31,11 +31,10 @@ from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import Outputs
 from sparsefit.study.latency import Latency, measured, read_latencies, write_latencies
-from sparsefit.study.merging import MergedPart, merge
 from sparsefit.study.plan import Batch, Experiment, Plan
 from sparsefit.study.pool import outcomes
 from sparsefit.study.problem_experiment import ProblemExperiment
-from sparsefit.study.runner import Progress, RunSummary, run
+from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, run
 from sparsefit.study.store import Store
 
 if TYPE_CHECKING:
@@ -132,7 +131,7 @@ class Study(Definition):
         store, frame = Store.read(self.folder, self.planned), self.plan()
         if store.finished:
             table = read_cases(self.folder)
-        elif rows := list(store.rows()):
+        elif rows := store.rows():
             table = cases_table(self.planned, rows).to_pandas()
             places = [self.planned.place_of[row.key] for row in rows]
             frame = frame.iloc[places].reset_index(drop=True)
@@ -156,7 +155,7 @@ class Study(Definition):
         return self.planned.counts() | ({"missing": self.missing} if self.missing else {})
 
     def merge(self, parts: Sequence[str | Path]) -> list[MergedPart]:
-        """Take the rows of other results folders of this study; see `merging.merge`."""
+        """Take the rows of other results folders of this study; see `runner.merge`."""
         self.__dict__.pop("cases", None)
         return merge(self.planned, self.folder, parts)
 

@@ -93,7 +93,7 @@ def until(condition, seconds=120.0):
 def unpack(study):
     """Put the rows of `cases.parquet` into `cases.sqlite`, as if the study were not finished."""
     with Store.opened(study.folder, study.planned) as store:
-        for row in list(store.rows()):
+        for row in store.rows():
             store.put_row(row)
     (study.folder / CASES).unlink()
 
@@ -192,7 +192,7 @@ def damaged(study, count):
         for name, data in content.items():
             (study.folder / name).write_bytes(data)
         try:
-            rows = list(Store.read(study.folder, study.planned).rows())
+            rows = Store.read(study.folder, study.planned).rows()
             wrong += any(expected[row.key] != row for row in rows)
             if rows:
                 _ = replace(study).cases

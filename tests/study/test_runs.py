@@ -175,15 +175,19 @@ def copied(whole, tmp_path):
     return changed(whole, tmp_path, WHOLE)
 
 
-def test_a_changed_study_computes_its_new_cases_and_keeps_what_it_drops(whole, tmp_path):
+def test_a_changed_study_computes_its_new_cases_and_drops_others_when_it_is_finished(
+    whole, tmp_path
+):
     study = changed(whole, tmp_path, SQUARES + '[[backends]]\nname = "stlsq"\n' + SWEEP)
-    summary = study.run(processes=1)
-    assert (summary.resumed, summary.computed, summary.dropped) == (6, 6, 12)
-    assert (study.folder / STORE).exists()
+    summary = study.run(processes=1, only=["least-squares"])
+    assert (summary.resumed, summary.computed, summary.dropped) == (6, 0, 12)
     back = load(tmp_path, WHOLE)
-    assert back.status().done == 18
     assert back.run(processes=1).computed == 0
     pd.testing.assert_frame_equal(stable(back.folder), stable(whole[0].folder))
+    summary = study.run(processes=1)
+    assert (summary.resumed, summary.computed, summary.dropped) == (6, 6, 12)
+    assert study.cases["backend"].unique().tolist() == ["least-squares", "stlsq"]
+    assert study.status().dropped == 0
 
 
 def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
@@ -197,7 +201,7 @@ def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
     summary = later.run(processes=1, stale=True, only=["least-squares"])
     assert (summary.computed, summary.stale) == (6, 12)
     with Store.opened(later.folder, later.planned) as store:
-        for row in list(store.rows())[:2]:
+        for row in store.rows()[:2]:
             store.put_row(type(row)(row.key, "timeout", "slow", row.version, row.body))
     assert later.run(processes=1, retry_failed=True).computed == 2
     assert later.run(processes=1, fresh=True, only=[later.plan()["case_id"][3]]).done == 1
@@ -235,7 +239,7 @@ def test_a_full_disk_and_a_lost_folder_are_told_in_a_line(copied):
     import resource
 
     study = copied
-    row = next(Store.read(study.folder, study.planned).rows())
+    row = Store.read(study.folder, study.planned).rows()[0]
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
@@ -279,7 +283,8 @@ def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tm
         attacks.unpack(part)
         with Store.opened(part.folder, part.planned) as store:
             drop = "0:%" if name == "a" else "2:%"
-            store.base.execute("DELETE FROM cases WHERE key LIKE ?", (drop,))
+            with store.base:
+                store.base.execute("DELETE FROM cases WHERE key LIKE ?", (drop,))
         parts.append(part)
     target = load(tmp_path, WHOLE)
     merged = target.merge([part.folder for part in parts])
@@ -291,7 +296,7 @@ def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tm
     with pytest.raises(InputError, match="no checksum of it stands"):
         target.merge([bare.folder])
     with Store.opened(parts[0].folder, parts[0].planned) as store:
-        row = next(store.rows())
+        row = store.rows()[0]
         store.put_row(type(row)(row.key, "misfit", "", row.version, row.body))
     with pytest.raises(InputError, match=r"differs between .* leave one"):
         target.merge([parts[0].folder])
