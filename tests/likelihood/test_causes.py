@@ -177,6 +177,27 @@ def test_simpler_shapes_are_those_before_it_first_where_they_stand(shape, drift,
     assert tried == simpler
 
 
+@pytest.mark.parametrize("likelier", [room.TUNED, 1.0 / room.TUNED])
+def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(likelier, monkeypatch):
+    """2 r s^2 / (r^2 + omega^2) of a rate r and a level s: r s^2 stays, towards the likelier r."""
+    walk, tried = Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25), []
+
+    def passed(_start, models, _name):
+        return -abs(np.log(models[0].disturbance.processes[0].rate / 0.25 / likelier))
+
+    def refit(models, _near):
+        tried.extend(models[0].disturbance.processes)
+
+    monkeypatch.setattr(room, "_passed", passed)
+    other = Process("swell", ("gain",), 0.1, 0.1)
+    model = Model(pattern_of(), {}, Disturbance(processes=(walk, other)))
+    posterior = SimpleNamespace(models=[model], log_likelihood=0.0)
+    assert room._tuned(refit, posterior, "turbulence") is posterior
+    assert tried[1] == other
+    assert tried[0].rate == pytest.approx(0.25 * likelier)
+    assert tried[0].rate * tried[0].level ** 2 == pytest.approx(0.25 * 0.8**2)
+
+
 def test_what_is_ambiguous_is_worked_by_hand():
     """A lag of 0.02 s beside a response time of 0.12 s, at 8 m/s through cells of 4 m."""
 

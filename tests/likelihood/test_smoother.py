@@ -94,6 +94,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     names = ("thrust_scale", "wind_x")
     space = model.space(names)
     nodes = Nodes.of(log, log.origin, 1.0)
+    assert nodes.time.tolist() == (log.time - log.origin[2]).tolist()
     track, spread = np.pad(nodes.track(), ((0, 0), (0, 2))), np.array([1.0, 2.0, 3.0, 4.0])
     leg = Leg(SimpleNamespace(spread=spread), model, nodes, track)
     forward = leg.forward(names)
@@ -203,6 +204,16 @@ def test_a_level_falls_to_its_floor_and_no_further():
     squares, levels = np.array([[1e-9, 50.0], [50.0, 50.0], [50.0, 50.0]]), [0.1, 0.05, 0.2]
     change, _ = LevelSteps(0.8 * np.array(levels), 0).change(levels, squares, np.zeros((0, 0)))
     np.testing.assert_allclose(change, [2.0 * np.log(0.8), 0.0, 0.0], atol=1e-12)
+
+
+def test_far_from_the_optimum_levels_take_the_steps_of_a_secant():
+    """The logarithm of a / n of process noise falls by 0.6 over 0.8, and is 0.2 by then."""
+    steps, nothing = LevelSteps(np.full(3, 1e-9), 5), np.zeros((0, 0))
+    for level, ratio, step in ((0.1, 0.8, 2.0), (0.1 * np.exp(0.4), 0.2, 0.2 * 0.8 / 0.6)):
+        squares = np.array([[50.0 * np.exp(ratio), 50.0], [50.0, 50.0], [50.0, 50.0]])
+        change, gain = steps.change([level, 0.05, 0.2], squares, nothing)
+        np.testing.assert_allclose(change, [step, 0.0, 0.0], atol=1e-12)
+        assert np.isinf(gain)
 
 
 @pytest.mark.parametrize(
@@ -363,6 +374,23 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
         bare = np.sqrt(np.linalg.inv(posterior.information)[0, 0])
         assert bare < posterior.error("mean_velocity") < 4.0 * bare
         assert abs(posterior.value("mean_velocity") - 9.0) < 4.0 * posterior.error("mean_velocity")
+
+
+@pytest.mark.parametrize(("bend", "rel"), [(3.0, 0.02), (5.0, 1e-9)])
+def test_the_spread_of_a_level_adds_its_part_to_the_covariance(bend, rel, monkeypatch):
+    """Of a normal likelihood of the level's logarithm; a quadratic in it is averaged."""
+
+    def rung(_legs, height, _name, _place):
+        return Rung(height, -0.5 * bend * height**2, np.array([[0.4 + 0.7 * height**2]]))
+
+    monkeypatch.setattr(Rung, "of", rung)
+    model = Model(TRUE, {"response_time": TAU})
+    leg = SimpleNamespace(model=model, last=SimpleNamespace(squares=np.full((3, 2), 10.0)))
+    own = SimpleNamespace(legs=(leg,), log_likelihood=0.0)
+    excess = Posterior._widened(own, 0, LEVELS[1], np.array([[0.4]]))
+    mean, variance = 0.5 / bend, 1.0 / bend  # with the level itself as its prior weight
+    expected = variance + (mean**2 if bend < 4.0 else 0.0)
+    np.testing.assert_allclose(excess, [[0.7 * expected]], rtol=rel)
 
 
 def test_waves_around_those_of_the_flow_are_two_cells_from_them_and_their_opposites(monkeypatch):

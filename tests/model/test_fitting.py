@@ -1,6 +1,7 @@
 """The descent: weights, residuals and moves against least squares and differences; the scans."""
 
 import math
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from sparsefit.model.shapes import (
     FlowRows,
     descended,
     fitted,
+    flows_of,
     free_waves,
     joined,
     orthonormal,
@@ -208,3 +210,23 @@ def test_waves_are_read_by_hand():
     assert both.mean_velocity == cells.mean_velocity
     alone = read_cells(k[:1], np.ones((1, 2)))
     assert math.isnan(alone.heading)
+
+
+@pytest.mark.parametrize(
+    ("headings", "lengths", "sizes", "pairs"),
+    [
+        # lengths and sizes that differ by an eighth, at angles of 60 degrees
+        ((0.0, 60.0, 30.0, 90.0), (1.0, 1.1, 2.0, 2.0), (3.0, 2.9, 1.1, 1.0), {(0, 1), (2, 3)}),
+        ((0.0, 45.0, 90.0, 135.0), (1.0,) * 4, (1.0,) * 4, {(0, 2), (1, 3)}),  # all alike
+        ((0.0, 90.0, 10.0, 100.0), (1.0, 1.0, 2.0, 2.0), (1.2, 1.0, 5.0, 5.0), {(0, 1), (2, 3)}),
+        ((0.0, 90.0, 10.0, 100.0), (1.0, 1.0, 2.0, 2.0), (1.25, 1.0, 5.0, 5.0), {(0, 1, 2, 3)}),
+    ],
+)
+def test_two_flows_of_cells_are_pairs_of_like_waves(headings, lengths, sizes, pairs):
+    """In whatever order the waves are; sizes of a pair may differ by exp(0.2)."""
+    turns = np.radians(headings)
+    waves = np.array(lengths)[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
+    amplitudes = np.outer(sizes, [0.6, -0.8])
+    for order in permutations(range(4)):
+        flows = flows_of(waves[list(order)], amplitudes[list(order)])
+        assert {tuple(sorted(order[i] for i in flow)) for flow in flows} == pairs

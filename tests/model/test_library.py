@@ -149,6 +149,15 @@ def test_a_large_flight_is_compressed_to_the_same_inner_products(monkeypatch):
                 np.testing.assert_allclose(*inner, atol=1e-7)
 
 
+def test_rows_are_compressed_from_five_more_than_columns_on(monkeypatch):
+    monkeypatch.setattr(room, "STREAM_BYTES", 0)
+    samples, columns = Derivative()(flight()), 8 * len(SMALL_GRID.scales)
+    for more, rows in ((0, columns), (4, columns + 4), (5, columns + 2)):  # 2 are of the target
+        problem = Library(SMALL_GRID).build([samples.rows(slice(columns + more))], [VEHICLE])
+        assert (problem.columns, problem.samples) == (columns, columns + more)
+        assert len(problem.theta) == rows
+
+
 def test_rows_of_several_flights_have_their_weights():
     samples = Derivative()(flight())
     library = Library(SMALL_GRID)

@@ -1,6 +1,7 @@
 """The search: the shape that was flown is proposed first, near its place, and no freer one."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,18 @@ from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Search, Start, flight_weights, propose
-from sparsefit.model.shapes import AXIS, PAIR, RECTANGLE, SQUARE, Shape, axis_cells, free_waves
+from sparsefit.model import search as room
+from sparsefit.model.ladder import Ladder
+from sparsefit.model.shapes import (
+    AXIS,
+    PAIR,
+    RECTANGLE,
+    SQUARE,
+    Shape,
+    axis_cells,
+    fitted,
+    free_waves,
+)
 from sparsefit.rows import Derivative, Samples
 from tests.problems import fly
 
@@ -142,6 +154,39 @@ def test_flights_through_one_flow_are_weighed_by_their_noise():
     assert flight_weights(flights[:1], [VEHICLE], LIBRARY) == (1.0,)
     both = Search.of(flights, [VEHICLE] * 2, LIBRARY, weights)
     assert propose(both, Start())[0].shape == "axis"
+
+
+def test_a_flight_without_noise_weighs_a_thousand_times_as_much_at_most(monkeypatch):
+    def exact(rows, *_):
+        return SimpleNamespace(rest=np.repeat([[0.0], [1.0]], len(rows.weight) // 2, axis=0))
+
+    monkeypatch.setattr(room, "fitted", exact)
+    weights = flight_weights([samples_of(flow_of(AXIS, (0.9,)), 0.05)] * 2, [VEHICLE] * 2, LIBRARY)
+    assert weights == pytest.approx((math.sqrt(2.0), 1e-3 * math.sqrt(2.0)), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("gains", "lobes"),
+    [
+        ((1.0, 3.0, 2.0, 0.0, 0.0), [1.0 + 0.1 / 6]),  # 3 + q/2 - 3 q^2/2 at steps q of 0.1
+        ((0.0, 5.0, 5.0, 5.0, 0.0), [1.05, 1.1, 1.15]),  # a plateau: its ends half a step in
+        ((2.0, 0.0, 0.0, 0.0, 3.0), [1.3, 0.9]),  # no farther than the bounds
+    ],
+)
+def test_lobes_are_the_tops_of_parabolas(gains, lobes, monkeypatch):
+    k = 0.9 + 0.1 * np.arange(5)
+    monkeypatch.setattr(room, "axis_gains", lambda *_: (k, np.array(gains)))
+    own = SimpleNamespace(rows=None, bounds=(0.9, 1.3))
+    np.testing.assert_allclose(Search.line(own, None), lobes)
+
+
+def test_waves_that_are_joined_keep_their_drift():
+    shape, q = PAIR.moving, (1.0, 0.3, -0.2, 0.7, 0.3, 0.6)
+    flow = flow_of(shape, q, (1.0, 0.4, 0.9, -1.5))
+    search = Search.of([samples_of(flow, 0.05)], [VEHICLE], LIBRARY)
+    first = fitted(search.rows, free_waves(1, drifting=True), np.array([1.0, 0.3, 0.3, 0.6]))
+    both = Ladder(search).with_waves(first, np.array([[1.01, 0.3], [-0.2, 0.69]]))
+    np.testing.assert_allclose(both.q, q, atol=5e-3)
 
 
 def test_a_flight_that_rests_or_is_too_long_is_refused_at_once():
