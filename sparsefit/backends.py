@@ -5,7 +5,6 @@ listed with its error, and raises it when asked for.
 """
 
 from collections.abc import Mapping
-from dataclasses import is_dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,7 +13,15 @@ import numpy as np
 from sparsefit.errors import InputError, is_integer, unknown
 from sparsefit.regression import fit as certified
 from sparsefit.regression.answer import Fit, Path
-from sparsefit.regression.backend import Backend, Solution, imported, made, plugins, settings_of
+from sparsefit.regression.backend import (
+    Backend,
+    Solution,
+    checked_class,
+    imported,
+    made,
+    plugins,
+    settings_of,
+)
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import path as certified_path
 from sparsefit.regression.penalty_choice import FRACTIONS
@@ -75,12 +82,7 @@ def load(name: str) -> type[Backend]:
         raise unknown("back-end", name, (*known(), *PUBLIC))
     where = f"back-end {name!r} (plug-in {_plugins()[name].value})"
     loaded = imported(where, _plugins()[name].load)
-    if not (is_dataclass(loaded) and callable(getattr(loaded, "solve", None))):
-        raise InputError(f"{where} is not a frozen dataclass with a `solve` method")
-    for needed in ("name", "certificate_kind"):
-        if not isinstance(getattr(loaded, needed, None), str):
-            raise InputError(f"{where} has no `{needed}`, a text that its class holds")
-    return cast(type[Backend], loaded)
+    return cast(type[Backend], checked_class(where, loaded, "solve", "name", "certificate_kind"))
 
 
 def get(name: str, **settings: Any) -> Backend:

@@ -4,7 +4,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from typing import (
     TYPE_CHECKING,
@@ -133,6 +133,7 @@ def setting(default: Any, **limits: Any) -> Any:
     return field(default=default, metadata=limits)
 
 
+@dataclass(frozen=True)
 class Checked:
     """Base of frozen back-ends whose settings are checked as their fields are declared.
 
@@ -143,7 +144,7 @@ class Checked:
     name: ClassVar[str]
 
     def __post_init__(self) -> None:
-        for item in fields(self):  # type: ignore[arg-type]
+        for item in fields(self):
             value, kind, limits = getattr(self, item.name), item.type, item.metadata
             if value is None and type(None) in get_args(kind):
                 continue
@@ -180,6 +181,16 @@ def imported(where: str, load: Callable[[], Any]) -> Any:
             return load()
     except (Exception, SystemExit) as error:  # a module may do anything when it is imported
         raise InputError(f"{where} cannot be loaded: {described(error)}") from error
+
+
+def checked_class(where: str, cls: Any, method: str, *texts: str) -> Any:
+    """The class, a dataclass with a method and with texts. Raises InputError on any other."""
+    if not (is_dataclass(cls) and callable(getattr(cls, method, None))):
+        raise InputError(f"{where} is not a frozen dataclass with a `{method}` method")
+    for text in texts:
+        if not isinstance(getattr(cls, text, None), str):
+            raise InputError(f"{where} has no `{text}`, a text that its class holds")
+    return cls
 
 
 def made(what: str, cls: Any, settings: Mapping[str, Any], **preset: Any) -> Any:

@@ -15,6 +15,7 @@ Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. 
 
 import math
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -111,14 +112,10 @@ def _solved(
         cross = columns.T @ target / design.samples
         values, status = _cone_program(gram, cross / alpha, penalty, stop)
         return values * alpha, status
-    program = _Program.of(columns, target, penalty, alpha, design.samples)
-    values, status = program.solved("clarabel", stop)
-    return _within_bounds(penalty, values), "Solved" if status == "optimal" else status
-
-
-def _within_bounds(penalty: Penalty, values: Array) -> Array:
-    """The nearest V (k, n) that is no further than an interior point is allowed to be."""
-    return penalty.prox(values, 0.0) if isinstance(penalty, BoundedValues) else values
+    ((values, status),) = _through_cvxpy(
+        "clarabel", columns, target, penalty, [alpha], stop, design.samples
+    )
+    return values, "Solved" if status == "optimal" else status
 
 
 def _no_conic_form(penalty: Penalty) -> str:
@@ -201,87 +198,77 @@ class Cvxpy:
         self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array:
         """Weights (p, k, n); tolerance: the solver's own, 1e-9 where none is asked for."""
-        matrix, unit = design.columns(np.arange(penalty.columns)), float(alphas[0])
-        program, weights = _Program.of(matrix, target, penalty, unit, design.samples), []
-        for alpha in alphas.tolist():
-            values, status = program.solved(self.name, tolerance or 1e-9, alpha)
+        matrix, weights = design.columns(np.arange(penalty.columns)), []
+        for values, status in _through_cvxpy(
+            *(self.name, matrix, target, penalty, alphas.tolist(), tolerance or 1e-9),
+            design.samples,
+        ):
             if status != "optimal":
                 warnings.warn(f"{self.name}: {status}", RuntimeWarning, stacklevel=2)
-            weights.append(_within_bounds(penalty, values))
+            weights.append(values)
         return np.stack(weights)
 
 
-@dataclass(frozen=True, eq=False)
-class _Program:
-    """A program of cvxpy: its variable V (k, n) over ``unit``, and alpha over ``unit``."""
+def _through_cvxpy(
+    solver: str,
+    matrix: Array,
+    target: Array,
+    penalty: Penalty,
+    alphas: list[float],
+    stop: float,
+    samples: int,
+) -> Iterator[tuple[Array, str]]:
+    """V (k, n) of the columns (m, k) at each alpha, NaN where there is none, and the status.
 
-    program: Any
-    variable: Any
-    fraction: Any
-    unit: float
+    V and the target are divided by the first alpha. Half the mean square is 1/2 v'Gv - <C, V>; its
+    root has the rows of a QR of [Z, Y], Huber's loss all rows.
+    """
+    import cvxpy
 
-    @classmethod
-    def of(
-        cls, matrix: Array, target: Array, penalty: Penalty, unit: float, samples: int
-    ) -> "_Program":
-        """State loss and penalty.
-
-        Half the mean square is 1/2 v'Gv - <C, V>; its root has the rows of a QR of [Z, Y], Huber's
-        loss all rows.
-        """
-        import cvxpy
-
-        loss, scaled = penalty.loss, target / unit
-        variable = cvxpy.Variable((matrix.shape[1], target.shape[1]))
-        fraction = cvxpy.Parameter(nonneg=True, value=1.0)
-        level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
-        if loss == SQUARES:
-            gram = matrix.T @ matrix / samples
-            root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
-            objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
-            for t in range(target.shape[1]):
-                objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
-        elif isinstance(loss, RootSquares):
-            triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
-            matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
-            size = cvxpy.norm(matrix @ variable - scaled, "fro") / math.sqrt(samples)
-            objective = math.sqrt(float(np.sum(level**2))) * size
-        else:
-            residual = matrix @ variable - scaled
-            parts = [
-                cvxpy.sum(cvxpy.huber(residual[:, t], float(reach))) / (2 * samples)
-                for t, reach in enumerate(loss.bound(level))
-            ]
-            objective = cvxpy.sum(cvxpy.hstack(parts))
-        if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit
-            penalty = penalty.in_units(unit)
-        norm, constraints = penalty.conic(variable, cvxpy)
-        if penalty.ridge:
-            norm = norm + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
-        goal = cvxpy.Minimize(objective + fraction * norm)
-        return cls(cvxpy.Problem(goal, constraints), variable, fraction, unit)
-
-    def solved(
-        self, solver: str, tolerance: float, alpha: float | None = None
-    ) -> tuple[Array, str]:
-        """V (k, n), NaN where the solver has none, and its status; at the unit or another alpha."""
-        import cvxpy
-
-        if alpha is not None and alpha != self.unit:
-            self.fraction.value = alpha / self.unit
-        stops, more = BEHIND_CVXPY[solver]
-        settings = {**more, **dict.fromkeys(stops, tolerance)}
+    loss, unit = penalty.loss, alphas[0]
+    variable = cvxpy.Variable((matrix.shape[1], target.shape[1]))
+    scaled, fraction = target / unit, cvxpy.Parameter(nonneg=True, value=1.0)
+    level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
+    if loss == SQUARES:
+        gram = matrix.T @ matrix / samples
+        root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
+        objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
+        for t in range(target.shape[1]):
+            objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
+    elif isinstance(loss, RootSquares):
+        triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
+        matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
+        size = cvxpy.norm(matrix @ variable - scaled, "fro") / math.sqrt(samples)
+        objective = math.sqrt(float(np.sum(level**2))) * size
+    else:
+        residual = matrix @ variable - scaled
+        parts = [
+            cvxpy.sum(cvxpy.huber(residual[:, t], float(reach))) / (2 * samples)
+            for t, reach in enumerate(loss.bound(level))
+        ]
+        objective = cvxpy.sum(cvxpy.hstack(parts))
+    if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit
+        penalty = penalty.in_units(unit)
+    norm, constraints = penalty.conic(variable, cvxpy)
+    if penalty.ridge:
+        norm = norm + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
+    program = cvxpy.Problem(cvxpy.Minimize(objective + fraction * norm), constraints)
+    stops, more = BEHIND_CVXPY[solver]
+    for alpha in alphas:
+        fraction.value = alpha / unit
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "may be inaccurate": the status says so
             try:
-                self.program.solve(solver=solver.upper(), **settings)
-                status = str(self.program.status)
+                program.solve(solver=solver.upper(), **more, **dict.fromkeys(stops, stop))
+                status = str(program.status)
             except (cvxpy.error.SolverError, ValueError, ArithmeticError) as error:
                 status = str(error)
-        values = self.variable.value
-        if values is None or status not in ("optimal", "optimal_inaccurate", "user_limit"):
-            return np.full(self.variable.shape, np.nan), status
-        return self.unit * np.asarray(values), status
+        values = np.full(variable.shape, np.nan)
+        if variable.value is not None and status in ("optimal", "optimal_inaccurate", "user_limit"):
+            values = unit * np.asarray(variable.value)
+        if isinstance(penalty, BoundedValues):  # an interior point is that far out at most
+            values = unit * penalty.prox(values / unit, 0.0)
+        yield values, status
 
 
 def installed_solvers() -> list[str]:

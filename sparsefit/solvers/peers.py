@@ -12,7 +12,7 @@ of its own meaning, and the caller's certificate judges them all.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -65,15 +65,6 @@ def matrix_of(design: Design) -> Any:
     if unscaled and design.in_memory and design.weights is None and design.direction is None:
         return np.asfortranarray(design.source)
     return design.columns(np.arange(design.shape[1]))
-
-
-@dataclass(frozen=True, eq=False)
-class Timed:
-    """Weights (p, k, n) of a solver that keeps its own clock: seconds of wall and CPU [s]."""
-
-    weights: Array
-    wall: float
-    cpu: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +140,15 @@ class Task:
 
 
 def solved_in_parts(
-    call: Callable[[Task, slice], Array | Timed],
+    call: Callable[[Task, slice], Array],
     design: Design,
     target: Array,
     penalty: Penalty,
     alphas: Array,
     *,
     dense: bool = False,
-) -> Array | Timed:
-    """Weights V (p, k, n) by a call that gives u (p, k b) of b targets; its time, if it says it.
+) -> Array:
+    """Weights V (p, k, n) by a call that gives u (p, k b) of b targets, target by target.
 
     penalty: one that has a `kind_of`; ``dense``: a sparse design is handed over as an array.
     Columns that are zero throughout are left out: some solvers divide by a group's norm.
@@ -184,15 +175,10 @@ def solved_in_parts(
     kind, count = kind_of(penalty), target.shape[1]
     task = Task(matrix, target / unit, penalty.blocks, alphas / unit, kind, ridge, lambdas)
     apart = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(count)]
-    answers = [call(task, targets) for targets in apart]
-    timed = [each for each in answers if isinstance(each, Timed)]
-    raw = [each.weights if isinstance(each, Timed) else each for each in answers]
-    stacked = np.concatenate([u.reshape(len(alphas), -1, len(omega)) for u in raw], axis=1)
+    parts = [call(task, targets).reshape(len(alphas), -1, len(omega)) for targets in apart]
     weights = np.zeros((len(alphas), columns, count))
-    weights[:, live] = stacked.transpose(0, 2, 1) * (unit / omega)[:, None]
-    if not timed:
-        return weights
-    return Timed(weights, sum(each.wall for each in timed), sum(each.cpu for each in timed))
+    weights[:, live] = np.concatenate(parts, axis=1).transpose(0, 2, 1) * (unit / omega)[:, None]
+    return weights
 
 
 def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
@@ -350,16 +336,17 @@ def by_skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
 
 
 @dataclass(frozen=True)
-class PublicSolver:
-    """Data on a public solver, as `PEERS` lists it.
+class Peer:
+    """A public solver, as `PEERS` lists it; its one setting is ``iterations``.
 
     solved: (task, targets, stop, iterations) -> coefficients u (p, k b) of b targets, target by
     target; package: the module it needs, and extra, what pip installs for it; kinds: the penalties
-    that it takes; iterations: the most at a penalty, in its own unit, by default; stops: whether
-    there is a tolerance to set; reads_sparse: whether it takes scipy.sparse (others get a dense
-    copy, which is in their time).
+    that it takes; iterations: the most at a penalty, in its own unit; stops: whether there is a
+    tolerance to set; reads_sparse: whether it takes scipy.sparse (others get a dense copy, which is
+    in their time).
     """
 
+    name: str
     solved: Callable[..., Array]
     package: str
     kinds: tuple[Kind, ...]
@@ -368,49 +355,32 @@ class PublicSolver:
     reads_sparse: bool = True
     extra: str = "'sparsefit[peers]'"
 
-
-PEERS: dict[str, PublicSolver] = {
-    "scikit-learn-lars": PublicSolver(
-        by_scikit_learn_lars, "sklearn", SINGLE[:1], 10, stops=False, reads_sparse=False
-    ),
-    "spams": PublicSolver(
-        by_spams, "spams", SINGLE[:1], 10, stops=False, reads_sparse=False, extra="spams-bin"
-    ),
-    "scikit-learn-cd": PublicSolver(by_scikit_learn_cd, "sklearn", SINGLE, 100_000),
-    "celer": PublicSolver(by_celer, "celer", (*SINGLE, *GROUPED), 200),
-    "skglm": PublicSolver(by_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
-    "glum": PublicSolver(by_glum, "glum", SINGLE),
-    "sortedl1": PublicSolver(by_sortedl1, "sortedl1", ("SLOPE", "LASSO"), 100_000),
-}
-"""The public solvers of penalised least squares by name."""
-
-
-@dataclass(frozen=True)
-class Peer:
-    """The public solver of a name in `PEERS`.
-
-    iterations: the most at a penalty, in the solver's own unit; None: its entry's.
-    """
-
-    name: str
-    iterations: int | None = None
-
     def __post_init__(self) -> None:
-        if self.iterations is not None:
-            integer(f"{self.name}: iterations", self.iterations, 1)
+        integer(f"{self.name}: iterations", self.iterations, 1)
 
     def takes(self, penalty: Penalty) -> str:
         """The reason why it does not solve this penalty; empty where it does."""
-        kinds = PEERS[self.name].kinds
-        return "" if kind_of(penalty) in kinds else f"{self.name} solves {', '.join(kinds)} only"
+        is_known = kind_of(penalty) in self.kinds
+        return "" if is_known else f"{self.name} solves {', '.join(self.kinds)} only"
 
     def path(
         self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
-    ) -> Array | Timed:
+    ) -> Array:
         """Weights (p, k, n) of columns of unit rms; see `registry`. Raises InputError."""
         if reason := self.takes(penalty):
             raise InputError(reason)
-        entry = PEERS[self.name]
-        most = self.iterations or entry.iterations
-        call = partial(entry.solved, stop=tolerance or 1e-8, iterations=most)
-        return solved_in_parts(call, design, target, penalty, alphas, dense=not entry.reads_sparse)
+        call = partial(self.solved, stop=tolerance or 1e-8, iterations=self.iterations)
+        return solved_in_parts(call, design, target, penalty, alphas, dense=not self.reads_sparse)
+
+
+_LISTED = (
+    Peer("scikit-learn-lars", by_scikit_learn_lars, "sklearn", SINGLE[:1], 10, False, False),
+    Peer("spams", by_spams, "spams", SINGLE[:1], 10, False, False, "spams-bin"),
+    Peer("scikit-learn-cd", by_scikit_learn_cd, "sklearn", SINGLE, 100_000),
+    Peer("celer", by_celer, "celer", (*SINGLE, *GROUPED), 200),
+    Peer("skglm", by_skglm, "skglm", (*SINGLE, *GROUPED, "sparse-group LASSO", "SLOPE")),
+    Peer("glum", by_glum, "glum", SINGLE),
+    Peer("sortedl1", by_sortedl1, "sortedl1", ("SLOPE", "LASSO"), 100_000),
+)
+PEERS: Mapping[str, Peer] = {peer.name: peer for peer in _LISTED}
+"""The public solvers of penalised least squares by name."""

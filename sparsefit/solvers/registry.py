@@ -24,37 +24,38 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import sparse
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_line, unknown
-from sparsefit.regression.backend import Solution, Tolerance, heard, imported, made, plugins
+from sparsefit.regression.backend import (
+    Solution,
+    Tolerance,
+    checked_class,
+    heard,
+    imported,
+    made,
+    plugins,
+)
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.conic import BEHIND_CVXPY, Clarabel, Cvxpy
-from sparsefit.solvers.peers import PEERS, Peer, Task, Timed, kind_of, solved_in_parts
+from sparsefit.solvers.peers import PEERS, Peer, Task, kind_of, solved_in_parts
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = [
-    "BEHIND_CVXPY",
-    "LateError",
-    "Recipe",
-    "answers",
-    "solver",
-    "solver_names",
-]
+__all__ = ["BEHIND_CVXPY", "LateError", "Recipe", "answers", "solver", "solver_names"]
 FOREVER = 1e6  # s: the longest wait that the system takes
-SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **dict.fromkeys(PEERS, Peer)}
+SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **PEERS}
 
 
 class LateError(SparsefitError):
@@ -96,7 +97,9 @@ class Recipe:
 
     @property
     def owner(self) -> Any:
-        """The class of the solver. Raises InputError where there is none or it cannot be loaded."""
+        """The class of the solver, or a `Peer`. Raises InputError where there is none to load."""
+        if self.command:
+            return Command
         if self.file:
             classes = _classes_of(str(Path(self.file).resolve()))
             if self.name not in classes:
@@ -106,27 +109,23 @@ class Recipe:
             return SHIPPED.get(self.name, Cvxpy)
         if self.name not in _plugins():
             raise unknown("solver", self.name, (*solver_names(), *BEHIND_CVXPY))
-        owner = imported(f"solver {self.name!r} (plug-in)", _plugins()[self.name].load)
-        return _checked(self.name, owner)
-
-    def _text(self, key: str, default: Any) -> Any:
-        """An optional text of a public solver's entry, else of the class."""
-        if self.command:
-            return default
-        return getattr(PEERS.get(self.name if not self.file else "", self.owner), key, default)
+        where = f"solver {self.name!r} (plug-in)"
+        return checked_class(where, imported(where, _plugins()[self.name].load), "path", "name")
 
     def make(self) -> Any:
         """The solver. Raises InputError on an unknown name or setting, MissingExtra as `solver`."""
-        if self.command:
-            folder = str(Path(self.file).parent) if self.file else "."
-            limits = (self.limit, self.start)
-            return Command(self.name, self.command, folder, dict(self.settings), *limits)
-        owner = self.owner
+        owner, settings, preset = self.owner, dict(self.settings), dict[str, Any]()
+        if owner is Command:
+            return Command(self)
         if self.package and importlib.util.find_spec(self.package) is None:
-            extra = self._text("extra", self.package)
+            extra = getattr(owner, "extra", self.package)
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
-        preset = {"name": self.name} if owner in (Peer, Cvxpy) else {}
-        return made(f"solver {self.name}", owner, self.settings, **preset)
+        if owner is Cvxpy:
+            preset = {"name": self.name}
+        elif isinstance(owner, Peer):
+            owner, preset = Peer, vars(owner).copy()
+            settings = {"iterations": preset.pop("iterations"), **settings}
+        return made(f"solver {self.name}", owner, settings, **preset)
 
     @property
     def missing(self) -> str:
@@ -140,12 +139,12 @@ class Recipe:
     @property
     def stops(self) -> bool:
         """Whether a tolerance can be set."""
-        return bool(self._text("stops", True))
+        return bool(getattr(self.owner, "stops", True))
 
     @property
     def package(self) -> str:
         """The package that must be importable; empty of a command, and where none is needed."""
-        return str(self._text("package", ""))
+        return str(getattr(self.owner, "package", ""))
 
 
 def answers(
@@ -168,12 +167,15 @@ def answers(
         return (zero,) * count
 
     def solved() -> tuple[Array, Any]:
-        raw = solver.path(design, problem.target, penalty, alphas, tolerance)
-        weights = np.array(raw.weights if isinstance(raw, Timed) else raw, dtype=float)
+        asked, clock = (design, problem.target, penalty, alphas, tolerance), None
+        if isinstance(solver, Command):
+            raw, clock = solver.timed(*asked)
+        else:
+            raw = solver.path(*asked)
+        weights = np.array(raw, dtype=float)
         if weights.shape != (count, *shape):
             raise InputError(f"weights of shape {weights.shape}, not {(count, *shape)}")
-        is_own = isinstance(raw, Timed) and isinstance(solver, Command)
-        return weights / design.rms[:, None], (raw.wall, raw.cpu) if is_own else None
+        return weights / design.rms[:, None], clock
 
     answer, said = heard(solver.name, solved, LateError)
     if answer is None:
@@ -194,23 +196,14 @@ def _classes_of(file: str) -> Mapping[str, type[Any]]:
     sys.modules[module_name] = module  # dataclasses look their module up by its name
     imported(str(path), partial(spec.loader.exec_module, module))
     classes = [
-        cls
+        checked_class(f"solver {cls.name!r}", cls, "path", "name")
         for cls in vars(module).values()
         if isinstance(cls, type) and cls.__module__ == module_name
         if hasattr(cls, "path") and hasattr(cls, "name")
     ]
     if not classes:
         raise InputError(f"{path} has no frozen dataclass with a `name` and a `path` method")
-    return {cls.name: _checked(cls.name, cls) for cls in classes}
-
-
-def _checked(name: str, cls: Any) -> type[Any]:
-    frozen = is_dataclass(cls) and cast(Any, cls).__dataclass_params__.frozen
-    if not (frozen and callable(getattr(cls, "path", None)) and isinstance(cls.name, str)):
-        raise InputError(
-            f"solver {name!r} is not a frozen dataclass with a text `name` and a `path` method"
-        )
-    return cast(type[Any], cls)
+    return {cls.name: cls for cls in classes}
 
 
 @dataclass(frozen=True)
@@ -225,73 +218,83 @@ class Command:
     prints a line, and writes ``answer.npy`` (p, b, k). Its time is the one between its two lines:
     neither its start nor files are in it.
 
-    name: what tables call it; command: the program and its arguments, relative to ``folder``;
-    settings: what problem.json tells it of them; limit: seconds [s] of a path between these lines;
-    start: of one program before and after them, so of its start, reading and writing.
+    recipe: its command is sought from the folder that its file is in; its limit: seconds [s] of a
+    path between these lines; its start: of all beside them: starting, reading and writing.
     """
 
-    name: str
-    command: tuple[str, ...]
-    folder: str = "."
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    limit: float = math.inf
-    start: float = math.inf
+    recipe: Recipe
 
     def __post_init__(self) -> None:
-        if not self.command or not all(isinstance(word, str) for word in self.command):
+        words = self.recipe.command
+        if not all(isinstance(word, str) for word in words):
             raise InputError(f"{self.name}: command must be a list of words, a program first")
-        program = self.command[0]
-        path = Path(self.folder, program)
-        if not (path.is_file() if "/" in program else shutil.which(program)):
-            raise MissingExtra(f"{self.name}: there is no program {program!r}; install it")
+        path = self._folder / words[0]
+        if not (path.is_file() if "/" in words[0] else shutil.which(words[0])):
+            raise MissingExtra(f"{self.name}: there is no program {words[0]!r}; install it")
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return self.recipe.name
+
+    @property
+    def _folder(self) -> Path:
+        return Path(self.recipe.file).parent
 
     def takes(self, penalty: Penalty) -> str:
         """The families of penalties that a problem.json can name."""
         return "" if kind_of(penalty) else f"{self.name}: a command is handed no such penalty"
 
-    def path(
+    def path(self, *problem: Any) -> Array:
+        """The weights of `timed`, whose arguments these are."""
+        return self.timed(*problem)[0]
+
+    def timed(
         self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
-    ) -> Array | Timed:
-        """Weights (p, k, n) of the program, and its time.
+    ) -> tuple[Array, tuple[float, float]]:
+        """Weights (p, k, n) of the program, and the wall and CPU time [s] that it took.
 
         Raises InputError as it fails, `LateError` where it was ended at a limit.
         """
         if reason := self.takes(penalty):
             raise InputError(reason)
-        call = partial(self._solved, tolerance=tolerance, remaining={"solve": self.limit})
-        return solved_in_parts(call, design, target, penalty, alphas)
+        spent, remaining = [0.0, 0.0], {"solve": self.recipe.limit}
 
-    def _solved(
-        self, task: Task, targets: slice, tolerance: Tolerance, remaining: dict[str, float]
-    ) -> Timed:
-        with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
-            folder = Path(name)
-            if isinstance(task.design, np.ndarray):
-                np.save(folder / "design.npy", task.design)
-            else:
-                sparse.save_npz(folder / "design.npz", task.design, compressed=False)
-            target = np.ascontiguousarray(task.target[:, targets])
-            arrays = {"target": target, "groups": task.groups, "lambdas": task.lambdas}
-            for key, values in arrays.items():
-                if values is not None:
-                    np.save(folder / f"{key}.npy", values)
-            words: dict[str, Any] = {"kind": task.kind, "ridge": task.ridge, "tolerance": tolerance}
-            words |= {"fractions": task.fractions.tolist(), "settings": dict(self.settings)}
-            with (folder / "problem.json").open("w", encoding="utf-8") as file:
-                json.dump(words, file)
-            wall, cpu = self._run(folder, remaining)
-            try:
-                return Timed(np.load(folder / "answer.npy", allow_pickle=False), wall, cpu)
-            except (OSError, ValueError) as error:
-                raise InputError(f"{self.name} wrote no answer.npy ({error})") from None
+        def solved(task: Task, targets: slice) -> Array:
+            with tempfile.TemporaryDirectory(prefix="sparsefit-solver-") as name:
+                folder = Path(name)
+                if isinstance(task.design, np.ndarray):
+                    np.save(folder / "design.npy", task.design)
+                else:
+                    sparse.save_npz(folder / "design.npz", task.design, compressed=False)
+                arrays = {"groups": task.groups, "lambdas": task.lambdas}
+                arrays["target"] = np.ascontiguousarray(task.target[:, targets])
+                for key, values in arrays.items():
+                    if values is not None:
+                        np.save(folder / f"{key}.npy", values)
+                words: dict[str, Any] = {"fractions": task.fractions.tolist(), "kind": task.kind}
+                words |= {"ridge": task.ridge, "tolerance": tolerance}
+                words |= {"settings": dict(self.recipe.settings)}
+                with (folder / "problem.json").open("w", encoding="utf-8") as file:
+                    json.dump(words, file)
+                for part, seconds in enumerate(self._run(folder, remaining)):
+                    spent[part] += seconds
+                try:
+                    answer: Array = np.load(folder / "answer.npy", allow_pickle=False)
+                except (OSError, ValueError) as error:
+                    raise InputError(f"{self.name} wrote no answer.npy ({error})") from None
+                return answer
+
+        weights = solved_in_parts(solved, design, target, penalty, alphas)
+        return weights, (spent[0], spent[1])
 
     def _run(self, folder: Path, remaining: dict[str, float]) -> tuple[float, float]:
         """Seconds of wall and CPU [s] between the two lines of the program, within its limits."""
-        program, *rest = self.command
-        first = str(Path(self.folder, program).absolute()) if "/" in program else program
-        words, where = [first, *rest, str(folder)], self.folder or None
-        remaining["start"], errors = self.start, (folder / "errors").open("w+b")
+        program, *rest = self.recipe.command
+        first = str((self._folder / program).absolute()) if "/" in program else program
+        remaining["start"], errors = self.recipe.start, (folder / "errors").open("w+b")
         pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": errors}
+        words, where = [first, *rest, str(folder)], self._folder
         started: Any = subprocess.Popen(words, cwd=where, bufsize=0, process_group=0, **pipes)
         with errors, started as run:
             try:
@@ -328,8 +331,8 @@ class Command:
 
     def _late(self, part: str) -> LateError:
         if part == "solve":
-            return LateError(f"took longer than {self.limit:g} s")
-        return LateError(f"took longer than {self.start:g} s to start, to read or to write")
+            return LateError(f"took longer than {self.recipe.limit:g} s")
+        return LateError(f"took longer than {self.recipe.start:g} s to start, to read or to write")
 
 
 def _cpu_seconds(pid: int) -> float:
