@@ -20,6 +20,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.design import Design, Statistics
+from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
 from sparsefit.solvers.descent import descent_path
@@ -41,7 +42,7 @@ START = 200  # columns in play at first
 SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
 AHEAD = 8  # penalties that are solved before all columns are asked
 NEAR = 0.1  # below alpha, where groups join that do not object yet
-ROUGH = 1e-5  # relative gap of descent that tells which groups join
+ROUGH = 1e-5  # relative gap at which slow kernels tell which columns join
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
 HELD = 2**25  # entries of the columns in play that are held as rows beside their products
 
@@ -136,6 +137,10 @@ def exact_path(
     if isinstance(penalty, SquaredNorm):
         return _ridge_path(design, target, penalty, alphas, statistics)
     targets = target.shape[1]
+    alone = targets == 1 or not penalty.coupled
+    if type(penalty) is GroupNorms and alone and np.bincount(penalty.groups).max() == 1:
+        # Norms of one number are absolute values.
+        penalty = AbsoluteValues(penalty.weights[penalty.groups], ridge=penalty.ridge)
     parts = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(targets)]
     solved = [
         _along(design, target[:, part], statistics.cross[:, part], penalty, alphas, statistics)
@@ -187,14 +192,16 @@ def _with_working_set(
     # Sparse columns stay so.
     store = None if design.kind == "sparse" else np.empty((min(k, HELD // m), m))
     whole = store is not None and len(store) == k
-    turns = () if name == "variational" and whole else None
+    turns = () if name == "variational" and whole and k > FEW else None
     play = InPlay(design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), turns)
     play = play.joined(index, cross, True)
     points = Points.zeros(count, cross)
     done, attempts = 0, {BEGIN: np.zeros((len(index), q))}
     while done < count:
-        here, descends = alphas[done : done + AHEAD], name == "block descent"
-        stops = (ROUGH, DESCENDED) if descends else (STOP,)
+        if turns is not None and 3 * len(play.index) > m:
+            name = "block descent"
+        here, goal = alphas[done : done + AHEAD], DESCENDED if name == "block descent" else STOP
+        stops = (goal,) if name in ("homotopy", "variational") else (ROUGH, goal)
         near = NEAR if name in ("variational", "block descent") else 0.0
         for stop in stops:
             stretch = KERNELS[name](play.sums, here, attempts, stop)
@@ -202,8 +209,6 @@ def _with_working_set(
             accepted, new = _objections(play, here, stretch.weights, near)
             if len(new):
                 break
-        if 3 * int(stretch.weights.any(axis=2).any(axis=0).sum()) > m and turns is not None:
-            name = "block descent"
         accepted = 0 if stop == ROUGH else accepted
         until = done + accepted
         points.weights[done:until, play.index] = play.back(stretch.weights[:accepted])

@@ -120,6 +120,22 @@ def test_groups_that_outnumber_the_rows_are_descended_to_the_same_optimum(
     np.testing.assert_allclose(descended.weights, whole.weights, atol=1e-3)
 
 
+def test_groups_of_one_column_for_one_target_are_solved_as_absolute_values():
+    rng = np.random.default_rng(6)
+    theta = rng.normal(size=(30, 40))
+    target = theta[:, :3] @ rng.normal(size=(3, 2)) + 0.1 * rng.normal(size=(30, 2))
+    design, weights = Design(theta, 30), np.linspace(0.5, 2.0, 40)
+    order, alphas = rng.permutation(40), np.array([0.5, 0.3, 0.1, 0.05])
+    plain = exact.exact_path(design, target, AbsoluteValues(weights[order]), alphas)
+    apart = exact.exact_path(design, target, GroupNorms(order, weights, False), alphas)
+    joint = exact.exact_path(design, target[:, :1], GroupNorms(order, weights), alphas)
+    np.testing.assert_array_equal(apart.weights, plain.weights)
+    np.testing.assert_allclose(joint.weights, plain.weights[:, :, :1], atol=1e-12)
+    assert "homotopy" in joint.words
+    both = exact.exact_path(design, target, GroupNorms(order, weights), alphas)
+    assert "variational" in both.words
+
+
 @pytest.mark.parametrize("kind", ["copies", "opposites", "cumulated"])
 def test_clusters_of_columns_that_are_alike_are_certified(kind):
     rng = np.random.default_rng(4)
