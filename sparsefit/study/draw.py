@@ -28,6 +28,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sparsefit.codec import Place, number, only
+from sparsefit.errors import positive
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
 from sparsefit.flight.flow import Cells, CellularFlow, ShapedCells, SuperposedFlow
@@ -282,9 +283,11 @@ class FlightRules:
         }
         if values.keys() & set(FLOW_KEYS):  # in still air there is no third
             if "mean_velocity" not in values:
-                values["mean_velocity"] = values["length_scale"] / values["timescale"]
+                speed = values["length_scale"] / values["timescale"]
+                values["mean_velocity"] = positive("length_scale/timescale", speed, "m/s")
             elif "length_scale" not in values:
-                values["length_scale"] = values["mean_velocity"] * values["timescale"]
+                size = values["mean_velocity"] * values["timescale"]
+                values["length_scale"] = positive("mean_velocity*timescale", size, "m")
         field = stream(seed, flight, STREAMS.index(TURBULENCE_FIELD) + 1)
         return Draw(values, self.words, int(field.generate_state(1)[0]))
 

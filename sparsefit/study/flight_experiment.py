@@ -19,7 +19,7 @@ import numpy as np
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
-from sparsefit.errors import is_real
+from sparsefit.errors import InputError, is_real
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
 from sparsefit.study.crossing import Cell, Protocols
 from sparsefit.study.definition import FlightDesign
@@ -130,7 +130,10 @@ class FlightExperiment(Experiment):
 
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
         rules, design = self.design.cells[cell].setup.flights, self.design
-        return truth_of(rules.draw(unit, design.count, self.definition.seed))
+        try:
+            return truth_of(rules.draw(unit, design.count, self.definition.seed))
+        except InputError:  # an infinite L_w/tau_w, which the reason of the case says
+            return {}
 
     @cached_property
     def _shared(self) -> dict[str, list[int]]:
