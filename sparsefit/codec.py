@@ -48,15 +48,18 @@ def build(kind: type[Record], values: Mapping[str, object], place: Place) -> Rec
     """The frozen dataclass ``kind`` with these values; for those left out its defaults hold.
 
     A field that is itself a dataclass takes a mapping. Raises InputError, which names the place and
-    the nearest valid name, on a key that is none or missing, on a value of another type, and on
-    what the record refuses.
+    the nearest valid name, on a key that is none or missing, on a value of another type, on what
+    the ``check`` in the metadata of a field refuses (value, place), and on what the record refuses.
     """
     hints = get_type_hints(kind)
     only(values, (field.name for field in fields(cast(Any, kind))), place)
     fitted = {key: _fitted(value, hints[key], place.at(key)) for key, value in values.items()}
     for field in fields(cast(Any, kind)):
+        here = place.at(field.name)
         if field.name not in values and field.default is field.default_factory is MISSING:
-            raise place.at(field.name).error("missing: give it")
+            raise here.error("missing: give it")
+        if "check" in field.metadata and values.get(field.name) is not None:
+            field.metadata["check"](values[field.name], here)
     return made(kind, fitted, place)
 
 

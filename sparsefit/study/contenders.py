@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit import Estimator, RegressionProblem, backends
-from sparsefit.codec import Place, integer, only, shown
+from sparsefit.codec import Place, build, integer, only, shown
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import SHIPPED, Recipe, solver_names
@@ -36,13 +36,12 @@ from sparsefit.study.keys import (
     Clock,
     ContenderKeys,
     Generator,
-    PathRule,
+    ProblemFile,
     ProblemKeys,
-    ProblemRules,
     SolverKeys,
 )
 from sparsefit.study.problem_desk import Contender, small_problem
-from sparsefit.study.toml_file import Section, canonical_json, digest, numbered
+from sparsefit.study.toml_file import canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
 OURS = "sparsefit"
@@ -129,44 +128,24 @@ class ProblemDesign:
         return numbered(map(digest, content))
 
 
-def read_problem_design(
-    document: Section, seed: int, place: Place, *, holds_out: bool
-) -> tuple[ProblemDesign, object]:
-    """The design of a study of problems, and the content that all its cases depend on."""
-    rules, _ = schema.taken(ProblemRules, document, place)
-    schema.distinct(rules.tolerances, place.at("tolerances"))
-    path, fractions = schema.read(PathRule, document, "path", place), tuple[float, ...]()
-    if "path" in document:
-        fractions = tuple(np.geomspace(1.0, path.lowest, path.points).tolist())
-        fractions = (path.lowest,) if path.points == 1 else fractions
-    clock = schema.read(Clock, document, "clock", place)
-    problems = _read_problems(document, seed, place)
-    design = ProblemDesign(
-        problems,
-        _read_contenders(document, rules.tolerances, clock.limit, place),
-        fractions,
-        clock,
-        holds_out,
-    )
-    shown_only = ("question", "outputs", "select", "kind")
-    judged_by = {key: value for key, value in document.items() if key not in shown_only}
-    return design, [judged_by, [source.identity for source in problems]]
-
-
-def _read_problems(document: Section, seed: int, place: Place) -> tuple[ProblemSource, ...]:
-    """The [[problems]], of each entry one or several."""
-    here, sources = place.within("problems"), list[ProblemSource]()
-    for number, entry in enumerate(schema.entries(document, "problems", place)):
-        sources += _read_problem(entry, document, seed, number, here)
+def read_problem_design(file: ProblemFile, place: Place) -> ProblemDesign:
+    """The problems of a study, and who solves them."""
+    schema.distinct(file.tolerances, place.at("tolerances"))
+    here, fractions = place.within("problems"), tuple[float, ...]()
+    if file.path is not None:
+        points = np.geomspace(1.0, file.path.lowest, file.path.points)
+        fractions = tuple(points.tolist()) if len(points) > 1 else (file.path.lowest,)
+    sources = list[ProblemSource]()
+    for number in range(len(file.problems)):
+        sources += _sources(file, number, here)
     schema.distinct([source.name for source in sources], here.at("name"))
-    return tuple(sources)
+    contenders = _read_contenders(file, place)
+    return ProblemDesign(tuple(sources), contenders, fractions, file.clock, file.kind == "problems")
 
 
-def _read_problem(
-    entry: Section, document: Section, seed: int, place_in_file: int, place: Place
-) -> Iterator[ProblemSource]:
+def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[ProblemSource]:
     """The problems of one entry, each as it is or altered."""
-    seed += place_in_file
+    entry, seed = file.problems[place_in_file], file.seed + place_in_file
     kinds = [kind for kind in KINDS if kind in entry]
     if len(kinds) != 1:
         have = " and ".join(kinds) or "none"
@@ -192,9 +171,7 @@ def _read_problem(
     elif kind == "dataset":
         made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":
-        rules = schema.record_of(
-            Generator, {**data_sets.GENERATORS[str(keys.generator)], **rest}, place
-        )
+        rules = build(Generator, {**data_sets.GENERATORS[str(keys.generator)], **rest}, place)
         made = [(partial(data_sets.drawn, rules, stream(seed, number, 301)),
                  [keys.generator, asdict(rules), number])
                 for number in range(keys.count)]  # fmt: skip
@@ -202,7 +179,7 @@ def _read_problem(
         if not keys.name:
             raise place.at("name").error("missing: a flight has no other name")
         whole = Place(place.file, via=f'problem "{keys.name}": ')
-        sections = {part: {**schema.section_of(document, part, whole), **getattr(keys, part, {})}
+        sections = {part: {**getattr(file, part), **getattr(keys, part, {})}
                     for part in ("flights", "derivative", "library")}  # fmt: skip
         count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
         setup, content = crossing.read_setup(sections, whole), {**sections, "readout": {}}
@@ -228,14 +205,12 @@ def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_se
     )
 
 
-def _read_contenders(
-    document: Section, tolerances: Sequence[float], limit: float, place: Place
-) -> tuple[Contender, ...]:
+def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
-    here, recipes = place.within("backends"), _read_solvers(document, limit, place)
+    here, recipes = place.within("backends"), _read_solvers(file, place)
     listed: list[tuple[ContenderKeys, Mapping[str, Any], str, Recipe | None]] = []
-    for entry in schema.entries(document, "backends", place):
-        if "path" in document and "alpha_fraction" in entry:
+    for entry in file.backends:
+        if file.path is not None and "alpha_fraction" in entry:
             raise here.at("alpha_fraction").error("is a single fit's: [path] sets the penalties")
         keys, given = schema.taken(ContenderKeys, entry, here)
         listed += [
@@ -257,7 +232,7 @@ def _read_contenders(
     for (keys, settings, solver, recipe), other, words in zip(listed, foreign, about, strict=True):
         if refused := words.pop("refused"):
             raise here.error(refused)
-        stops = tuple(sorted(keys.tolerances or tolerances, reverse=True))
+        stops = tuple(sorted(keys.tolerances or file.tolerances, reverse=True))
         stops = stops if words.pop("stops") else (math.nan,)
         exact = words.pop("exact")
         if its_own := words.pop("solver"):
@@ -274,7 +249,7 @@ def _read_contenders(
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
         own = Contender(
             objective=label, backend=keys.name, settings=settings, solver=solver, tolerances=stops,
-            certified=keys.certified, limit=limit, foreign=other, recipe=recipe, **words,
+            certified=keys.certified, limit=file.clock.limit, foreign=other, recipe=recipe, **words,
         )  # fmt: skip
         contenders.append(own)
     return tuple(contenders)
@@ -288,24 +263,23 @@ def _foreign(backend: str, recipe: Recipe | None) -> bool:
     return own or bool(recipe.file) or recipe.name in {*solver_names()} - {*SHIPPED}
 
 
-def _read_solvers(
-    document: Section, limit: float, place: Place
-) -> dict[str, list[tuple[str, Recipe | None]]]:
+def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, Recipe | None]]]:
     """The [[solvers]] by name: the words and a recipe for every point of the grid of its settings.
 
     The words are its name and the settings that vary.
     """
     recipes: dict[str, list[tuple[str, Recipe | None]]] = {}
     here, folder = place.within("solvers"), Path(place.file).parent
-    for entry in schema.entries(document, "solvers", place) if "solvers" in document else ():
+    for entry in file.solvers:
         keys, settings = schema.taken(SolverKeys, entry, here)
-        file = str(folder / keys.file) if keys.file else ""
+        code = str(folder / keys.file) if keys.file else ""
         if keys.command:
-            file = str(folder / "solver")  # a command is sought beside the study
+            code = str(folder / "solver")  # a command is sought beside the study
         grid = crossing.read_grid(settings, here)
         for point in crossing.points_of(grid):
             varied = [f"{name}={shown(point[name])}" for name in grid if len(grid[name]) > 1]
-            recipe = Recipe(keys.name, point, file, keys.command, limit, keys.start)
+            limit = file.clock.limit
+            recipe = Recipe(keys.name, point, code, keys.command, limit, keys.start)
             recipes.setdefault(keys.name, []).append((" ".join([keys.name, *varied]), recipe))
     return recipes
 

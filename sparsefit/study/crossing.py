@@ -22,20 +22,21 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
-from sparsefit.codec import Place, build, made, number, only, shown, text
-from sparsefit.errors import SparsefitError, suggestion, told_with
+from sparsefit.codec import Place, build, integer, made, number, only, shown
+from sparsefit.errors import InputError, SparsefitError, suggestion, told_with
 from sparsefit.model import LengthScaleGrid
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.regression.backend import PathBackend
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
-from sparsefit.study.keys import BackendKeys
+from sparsefit.study.keys import BackendKeys, FlightFile, ProtocolKeys
 from sparsefit.study.quantities import nearest
-from sparsefit.study.schema import distinct, entries, names_of, required, taken
+from sparsefit.study.schema import distinct, names_of, taken
 from sparsefit.study.toml_file import Section, canonical_json
 from sparsefit.study.worker import in_child
 
+MOST_CASES = 2_000_000
 Setting: TypeAlias = float | int | str | bool
 Sections: TypeAlias = Mapping[str, Section]
 Levels: TypeAlias = Mapping[str, object]  # values by dotted key
@@ -90,6 +91,34 @@ class Cell:
     canonical_settings: str
     own_settings: str
     walks: bool
+
+
+@dataclass(frozen=True, eq=False)
+class FlightDesign:
+    """Flights and the cells that are made of every one of them.
+
+    given: the keys of the sections flights, derivative, library and readout that the file sets,
+    dotted; sweep: levels by dotted key; validate_count: flights of the split `validate`, None
+    without [split].
+    """
+
+    count: int
+    given: Mapping[str, object]
+    protocols: Protocols
+    sweep: Mapping[str, tuple[object, ...]]
+    cells: tuple[Cell, ...]
+    validate_count: int | None = None
+
+    def split(self, flight: int) -> str:
+        """`validate`, `evaluate` or, without [split], `all`.
+
+        The two are interleaved: with a quantity that is equally spaced over the flights, both
+        halves cover its range.
+        """
+        if self.validate_count is None:
+            return "all"
+        before, after = (n * self.validate_count // self.count for n in (flight, flight + 1))
+        return "validate" if after > before else "evaluate"
 
 
 Fitted: TypeAlias = tuple[BackendChoice, Mapping[str, Setting], str, str, bool]
@@ -171,25 +200,46 @@ def cross(
             yield Cell(next(index), digest, protocol, levels, setup, *own)
 
 
-def read_protocols(document: Section, sweep: Grid, place: Place) -> dict[str, Levels]:
+def read_flight_design(file: FlightFile, place: Place) -> FlightDesign:
+    """The flights and cells of a study, every combination resolved."""
+    sections: dict[str, dict[str, Any]] = {name: dict(getattr(file, name)) for name in SECTION_KEYS}
+    flights, within, here = sections["flights"], place.within("flights"), place.within("sweep")
+    count, parts = 0, dict[str, Any]()
+    if "files" not in flights:
+        if "count" not in flights:
+            raise within.at("count").error("missing: give it")
+        count = integer(flights.pop("count"), within.at("count"), least=1)
+    drawn = read_setup(sections, place, parts).flights
+    if isinstance(drawn, Logs):
+        count = len(drawn.pieces)
+    # The order of keys in the file means nothing.
+    levels = sorted(_dotted(file.sweep, here).items())
+    sweep = {name: tuple(distinct(value, here.at(name))) for name, value in levels}
+    fitted = _read_backends(file, place.within("backends"))
+    protocols = _read_protocols(file, sweep, place.within("protocols"))
+    planned = count * len(protocols) * math.prod(map(len, sweep.values())) * len(fitted)
+    if planned > MOST_CASES:
+        shorten = "shorten [sweep], the back-end settings or flights.count"
+        raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}: {shorten}")
+    if file.split is not None and (total := file.split.validate + file.split.evaluate) != count:
+        words = f"counts sum to {total}, not to the {count} of flights.count"
+        raise place.within("split").error(words)
+    given = {f"{name}.{key}": value for name in sections for key, value in sections[name].items()}
+    cells = tuple(cross(sections, protocols, sweep, fitted, place, parts))
+    validate = None if file.split is None else file.split.validate
+    return FlightDesign(count, given, protocols, sweep, cells, validate)
+
+
+def _read_protocols(file: FlightFile, sweep: Grid, place: Place) -> dict[str, Levels]:
     """The [[protocols]], or one called "default" without overrides."""
-    if "protocols" not in document:
-        return {"default": {}}
-    here, protocols = place.within("protocols"), list[tuple[str, Levels]]()
-    for entry in entries(document, "protocols", place):
-        name = text(required(entry, "name", here), here.at("name"))
-        overrides = _dotted({key: entry[key] for key in entry if key != "name"}, here)
-        protocols.append((name, overrides))
-        for dotted in set(sweep) & set(overrides):
-            raise here.at(dotted).error(f'is in [sweep] too: "{name}" cannot also set it')
-    distinct([name for name, _ in protocols], here.at("name"))
-    return dict(protocols)
-
-
-def read_sweep(section: Section, place: Place) -> dict[str, tuple[object, ...]]:
-    """The levels by dotted key, sorted by key: their order in the file means nothing."""
-    levels = sorted(_dotted(section, place).items())
-    return {name: tuple(distinct(value, place.at(name))) for name, value in levels}
+    protocols = []
+    for entry in file.protocols:
+        keys, rest = taken(ProtocolKeys, entry, place)
+        protocols.append((keys.name, _dotted(rest, place)))
+        for dotted in set(sweep) & set(protocols[-1][1]):
+            raise place.at(dotted).error(f'is in [sweep] too: "{keys.name}" cannot also set it')
+    distinct([name for name, _ in protocols] or ["default"], place.at("name"))
+    return dict(protocols) or {"default": {}}
 
 
 def _dotted(section: Section, place: Place) -> dict[str, object]:
@@ -212,13 +262,13 @@ def _dotted(section: Section, place: Place) -> dict[str, object]:
     return flat
 
 
-def read_backends(document: Section, place: Place) -> list[Fitted]:
+def _read_backends(file: FlightFile, place: Place) -> list[Fitted]:
     """Every point of the [[backends]] of flights, accepted by the back-end itself."""
     fitted: list[Fitted] = []
-    here, seen = place.within("backends"), set[str]()
-    for entry in entries(document, "backends", place):
-        keys, rest = taken(BackendKeys, entry, here)
-        choice = BackendChoice(keys.name, keys.label or keys.name, read_grid(rest, here))
+    seen = set[str]()
+    for entry in file.backends:
+        keys, rest = taken(BackendKeys, entry, place)
+        choice = BackendChoice(keys.name, keys.label or keys.name, read_grid(rest, place))
         points = points_of(choice.grid)
         try:
             if of_others(keys.name):
@@ -226,11 +276,11 @@ def read_backends(document: Section, place: Place) -> list[Fitted]:
             else:
                 about = about_backend(keys.name, points)
         except (SparsefitError, TypeError, ValueError) as error:
-            raise here.error(str(error)) from None
+            raise place.error(str(error)) from None
         for settings, words in zip(points, about, strict=True):
             identity = canonical_json([keys.name, settings])
             if identity in seen:
-                raise here.error(f'"{keys.name}" is listed twice with {shown(settings)}')
+                raise place.error(f'"{keys.name}" is listed twice with {shown(settings)}')
             seen.add(identity)
             fitted.append((choice, settings, *words))
     return fitted

@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sparsefit.codec import Place, number, only
+from sparsefit.codec import Place, build, number, only
 from sparsefit.errors import positive
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
@@ -47,7 +47,7 @@ from sparsefit.study.quantities import (
     Quantity,
     nearest,
 )
-from sparsefit.study.schema import POSITIVE, items, names_of, record_of, taken
+from sparsefit.study.schema import POSITIVE, items, names_of, taken
 from sparsefit.study.toml_file import Section
 from sparsefit.whole_file import read_whole
 
@@ -380,7 +380,7 @@ def _parsed(file: str, digest: str, vehicle: PointMassVehicle | None) -> Flight:
 
 def read_logs(section: Section, place: Place) -> Logs:
     """The logs of [flights]; `InputError` names the key, the file or the line of a fault."""
-    rules, here = record_of(LogRules, section, place), place.at("files")
+    rules, here = build(LogRules, section, place), place.at("files")
     folder, files, vehicle = Path(place.file).parent, list[str](), None
     for pattern in rules.files:
         named = [folder / pattern]

@@ -21,8 +21,7 @@ from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
-from sparsefit.study.crossing import Cell, Protocols
-from sparsefit.study.definition import FlightDesign
+from sparsefit.study.crossing import Cell, FlightDesign, Protocols
 from sparsefit.study.flight_desk import ALPHA, FlightDesk, path_fractions, truth_of
 from sparsefit.study.manifest import code_version
 from sparsefit.study.plan import Asking, Batch, Experiment

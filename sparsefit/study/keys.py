@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
-from sparsefit.codec import Place
+from sparsefit.codec import Place, build
 from sparsefit.errors import InputError
 from sparsefit.study.quantities import FlightWords
 from sparsefit.study.schema import (
@@ -20,13 +20,9 @@ from sparsefit.study.schema import (
     SHARE,
     Range,
     key,
-    record_of,
 )
+from sparsefit.study.toml_file import Section
 
-READING = ("flights", "derivative", "library", "readout", "online")  # what a protocol may change
-FLIGHT_SECTIONS = (*READING, "backends", "protocols", "sweep", "split", "run", "select", "outputs")
-PROBLEM_SECTIONS = ("path", "clock", "problems", "backends", "solvers", "flights",
-                    "derivative", "library", "run", "select", "outputs")  # fmt: skip
 MOST_VALUES = 128_000_000  # numbers in a regression problem: a gigabyte
 COUNTED = Range(least=0, most=100_000)
 StudyKind: TypeAlias = Literal["flights", "problems", "solvers"]
@@ -36,9 +32,9 @@ DataSet: TypeAlias = Literal["diabetes", "diabetes-quadratic", "linnerud", "digi
 Alteration: TypeAlias = Literal["as it is", "duplicated columns", "units 1e-12 to 1e12"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Heading:
-    """The keys at the top of a study file."""
+    """The keys at the top of every study file."""
 
     name: str = key("Of the study and its folder of results: 1 to 64 of `a-z`, `0-9`, `_`, `-`.")
     question: str = key("The one question that the study asks, as its page shows it.")
@@ -119,16 +115,13 @@ class Outputs:
         }  # fmt: skip
 
 
-CRITERIA = {"flights": "mean timescale-error", "problems": "mean holdout-error"}
-
-
 @dataclass(frozen=True, kw_only=True)
 class SelectionRule:
     """The rule by which a candidate is chosen, constraints with it: [select]."""
 
     criterion: str = key(
-        'A summary and a measure: the least (or most) of it is best; of problems '
-        f'`"{CRITERIA["problems"]}"` unless said.', CRITERIA["flights"]
+        "A summary and a measure: the least (or most) of it is best; of problems "
+        '`"mean holdout-error"` unless said.', "mean timescale-error"
     )  # fmt: skip
     over: str = key(
         '`"average"` over the regimes, the `"worst"` of them, or the name of one.', "average"
@@ -174,7 +167,14 @@ class SelectionRule:
     def changed(self, place: Place | None = None, /, **options: object) -> SelectionRule:
         """The rule with these options in place of its own; InputError names one that is wrong."""
         values = {**vars(self), **options}
-        return record_of(type(self), values, place or Place("select", "select"))
+        return build(type(self), values, place or Place("select", "select"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProblemSelection(SelectionRule):
+    """The rule by which a study of problems chooses."""
+
+    criterion: str = "mean holdout-error"
 
 
 @dataclass(frozen=True)
@@ -185,6 +185,13 @@ class BackendKeys:
         "The back-end. All its settings, below, may stand beside it, each a value or a list."
     )
     label: str = key("What tables call this entry; without it, the name.", "")
+
+
+@dataclass(frozen=True)
+class ProtocolKeys:
+    """The keys of [[protocols]] beside those that it sets."""
+
+    name: str = key("What tables call it.")
 
 
 @dataclass(frozen=True)
@@ -200,15 +207,6 @@ class LogRules:
     )  # fmt: skip
     response_time: float | None = key("tau, in place of what files say.", None, POSITIVE, "s")
     drag: float | None = key("c, in place of what the files say.", None, POSITIVE, "1/m")
-
-
-@dataclass(frozen=True)
-class ProblemRules:
-    """The keys of a study of problems that are numbers."""
-
-    tolerances: tuple[float, ...] = key(
-        "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
-    )
 
 
 @dataclass(frozen=True)
@@ -310,13 +308,62 @@ class Clock:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class StudyFile(Heading):
+    """A study file, its sections as records where their keys are those of no part of a case."""
+
+    run: RunRule = key("Limits of a case.", RunRule)
+    outputs: Outputs = key("What the pages show; without it, what fits the cases.", Outputs)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlightFile(StudyFile):
+    """A study of flights."""
+
+    flights: Section = key("What is flown, or which logs are read.")
+    derivative: Section = key("How derivatives are taken.", dict)
+    library: Section = key("The candidates, and what they are regressed on.", dict)
+    readout: Section = key("How weights become U0, L_w and tau_w.", dict)
+    online: Section = key("Whether flights are followed sample by sample, and how far back.", dict)
+    backends: tuple[Section, ...] = key(
+        "One `[[backends]]` for each back-end, with lists of settings."
+    )
+    protocols: tuple[Section, ...] = key("Named alternatives, not crossed with each other.", ())
+    sweep: Section = key("Factors that are crossed with everything.", dict)
+    split: Split | None = key("Which flights choose, and which score the choice.", None)
+    select: SelectionRule = key("By what `sparsefit select` chooses.", SelectionRule)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProblemFile(StudyFile):
+    """A study of regression problems."""
+
+    tolerances: tuple[float, ...] = key(
+        "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
+    )
+    path: PathRule | None = key(
+        "A path of penalties for every problem; without it, single fits.", None
+    )
+    clock: Clock = key("How a solve is timed.", Clock)
+    problems: tuple[Section, ...] = key("One `[[problems]]` or more.")
+    backends: tuple[Section, ...] = key("One `[[backends]]` or more, with lists of `solver`.")
+    solvers: tuple[Section, ...] = key(
+        "`[[solvers]]` with lists of settings, each combination a contender; `file = ...` or "
+        "`command = [...]` for one of your own.", ()
+    )  # fmt: skip
+    flights: Section = key("As above, for problems that are flights.", dict)
+    derivative: Section = key("As above, for problems that are flights.", dict)
+    library: Section = key("As above, for problems that are flights.", dict)
+    select: ProblemSelection = key("By what `sparsefit select` chooses.", ProblemSelection)
+
+
 OWN: dict[str, tuple[type[Any], ...]] = {
-    "study": (Heading,), "flights": (FlightWords,), "logs": (LogRules,), "derivative": (),
-    "library": (), "readout": (), "online": (), "backends": (BackendKeys,), "split": (Split,),
-    "run": (RunRule,), "select": (SelectionRule,), "outputs": (Outputs,),
-    "outputs.reference": (Reference,), "solvers": (ProblemRules,),
+    "study": (FlightFile,), "flights": (FlightWords,), "logs": (LogRules,), "derivative": (),
+    "library": (), "readout": (), "online": (), "backends": (BackendKeys,),
+    "protocols": (ProtocolKeys,), "split": (Split,), "run": (RunRule,), "select": (SelectionRule,),
+    "outputs": (Outputs,), "outputs.reference": (Reference,), "solvers": (ProblemFile,),
     "problems": (ProblemKeys, Generator), "contenders": (ContenderKeys,),
     "own-solvers": (SolverKeys,), "path": (PathRule,), "clock": (Clock,),
 }  # fmt: skip
-"""Section -> the records that its keys are fields of; two in a problem study are "contenders"
-([[backends]]) and "own-solvers" ([[solvers]]); "solvers" and "study" are the top of a file."""
+"""Section -> the records that its keys are fields of; "study" is the top of a file of flights,
+"solvers" that of problems, whose [[backends]] are "contenders", [[solvers]] "own-solvers"."""

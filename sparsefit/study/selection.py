@@ -18,7 +18,6 @@ import numpy as np
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures
 from sparsefit.study.entries import factor_words
-from sparsefit.study.keys import CRITERIA
 from sparsefit.study.measures import factors
 from sparsefit.study.resampling import ROUNDING, Difference
 from sparsefit.study.table import listed, significant
@@ -197,7 +196,7 @@ def check_rule(study: Any) -> None:
         InputError: with the nearest name that is known.
     """
     rule = study.definition.selection
-    if rule != type(rule)(criterion=CRITERIA[study.kind]):
+    if rule != type(rule)():
         cases = study.plan()
         _check_split(study, cases)
         _criterion(rule, cases)

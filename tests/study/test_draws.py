@@ -199,15 +199,12 @@ def test_bad_logs_are_refused_by_key(folder, old, new, message):
 def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
     peak = '[[protocols]]\nname = "rms"\n[[protocols]]\nname = "paper"\n'
     study = together(tmp_path, rest=peak + '"readout.mean_velocity" = "paper"')
-    assert study.plan()["title"].unique().tolist() == [
-        "rms: best-scale",
-        "paper: best-scale",
-    ]
-    assert list(study.refusals) == ["paper: best-scale"]
-    assert "U0 is the rms" in study.refusals["paper: best-scale"]
+    assert study.plan()["title"].unique().tolist() == ["rms", "paper"]
+    assert list(study.refusals) == ["paper"]
+    assert "U0 is the rms" in study.refusals["paper"]
     flown = study.flown()
     assert flown.folder == study.folder / "on-board"
-    assert flown.plan()["title"].tolist() == ["rms: best-scale"] * 2
+    assert flown.plan()["title"].tolist() == ["rms"] * 2
     assert not set(flown.plan()["identity"]) & set(study.plan()["identity"])
     (row,) = FlightDesk(flown.definition).cases(0, [0])["rows"]
     assert row[1] == "unidentifiable"  # two seconds are few for a board
