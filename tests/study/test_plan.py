@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sparsefit.errors import InputError
 from sparsefit.study.draw import SIMULATION, Draw, stream
 from sparsefit.study.study import Study
 
@@ -198,3 +199,12 @@ believed_thrust_ratio = 0.5
     assert flight.flow == draw.flown
     assert plain.flown == plain.flow
     assert plain.fly(stream(5, 0, SIMULATION)).vehicle == plain.vehicle
+
+
+def test_an_infinite_flow_is_a_row_of_its_own_case(tmp_path: Path) -> None:
+    text = HEAD.replace("{ linspace = [0.1, 0.5] }", "{ linspace = [1e-310, 0.5] }")
+    study = load(tmp_path, text + LASSO)
+    with pytest.raises(InputError, match=r"timescale must be a finite number .*; got inf"):
+        draws(study)
+    assert study.experiment.truth(0, 0) == {}
+    assert study.experiment.truth(4, 0)["flow"] == "cellular"
