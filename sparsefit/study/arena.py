@@ -269,8 +269,7 @@ class Arena:
         desk = desk or case.desk
         if verb == "ready":
             content = {"contender": case.number, "tolerance": case.tolerance, **content}
-        answer = yield Ask(verb, content, limit, desk, timed)
-        assert answer is not None
+        answer: Answer = yield Ask(verb, content, limit, desk, timed)
         if answer.lost:
             self.met.pop(desk, None)
             self.overhead.pop(desk, None)

@@ -9,7 +9,6 @@ several workers are tried one by one, and one that does it again is `crashed`.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Sequence
-from itertools import islice
 
 from sparsefit.errors import InputError, described, optional
 from sparsefit.study.columns import Outcome
@@ -42,34 +41,31 @@ def outcomes_on_dask(
         every = list(batches)
         # A process starts for each task; all are to end at about the same time.
         size = max(1, min(32, len(every) // (4 * hands)))
-        chunks = iter([every[i : i + size] for i in range(0, len(every), size)])
         there = client.scatter(experiment, broadcast=True)
-        ended, given = dask.as_completed(), dict[str, Sequence[Batch]]()
+        ended, given, tried = dask.as_completed(), dict[str, list[Batch]](), set[Batch]()
 
-        def submit(chunk: Sequence[Batch]) -> None:
-            future = client.submit(run_batches, there, list(chunk), pure=False)
+        def submit(chunk: list[Batch]) -> None:
+            future = client.submit(run_batches, there, chunk, pure=False)
             given[future.key] = chunk
             ended.add(future)
 
-        for chunk in islice(chunks, 2 * hands):
-            submit(chunk)
-        tried: set[Batch] = set()
-        while given:
-            future = next(ended)
+        for start in range(0, len(every), size):
+            submit(every[start : start + size])
+        for future in ended:
             mine = given.pop(future.key)
             if future.status == "finished":
                 yield from future.result()
-            elif set(mine) & tried:
-                reason = f"the dask task failed: {described(future.exception())}"
-                for unit, cell in ((batch.unit, cell) for batch in mine for cell in batch.cells):
-                    yield Outcome(unit, cell, "crashed", reason)
-            else:
+            elif tried.isdisjoint(mine):
                 tried.update(mine)
                 for batch in mine:
                     submit([batch])
+            else:
+                reason = f"the dask task failed: {described(future.exception())}"
+                for batch in mine:
+                    yield from (
+                        Outcome(batch.unit, cell, "crashed", reason) for cell in batch.cells
+                    )
             idle(0.0)
-            for more in islice(chunks, 1):
-                submit(more)
 
 
 def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[Outcome]:

@@ -27,7 +27,6 @@ import numpy as np
 from sparsefit import Estimator, Library, PointMassVehicle, backends
 from sparsefit.errors import InputError, one_line
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
-from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells, CellularFlow
 from sparsefit.likelihood import Disturbance, FlightLog, Model, StreamPattern, bound
@@ -55,7 +54,6 @@ class Flown:
     others: flights through the same flow, along which it is predicted.
     """
 
-    unit: int
     draw: Draw | Logged
     fleet: tuple[Flight, ...]
     extent: float
@@ -177,10 +175,10 @@ def fly(definition: Definition, unit: int, rules: FlightRules | Logs) -> Flown:
     fleet = draw.fleet(seed)
     extent = extent_of(np.concatenate([flown.position for flown in fleet]))
     if isinstance(draw, Logged):
-        return Flown(unit, draw, fleet, extent)
+        return Flown(draw, fleet, extent)
     others = draw.others(seed, definition.rules.prediction_flights) if draw.flown else ()
     blind = tuple(replace(flown, flow=None) for flown in fleet)
-    return Flown(unit, draw, blind, extent, bounds_of(draw, fleet), others)
+    return Flown(draw, blind, extent, bounds_of(draw, fleet), others)
 
 
 def truth_of(draw: Draw | Logged) -> dict[str, Value]:
@@ -207,8 +205,8 @@ class FlightDesk:
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
         self._estimators: dict[int, Estimator] = {}
-        self._flown: tuple[object, Flown] | None = None
-        self._prepared: tuple[object, Prepared] | None = None
+        self._flown: tuple[Any, Any] = (None, None)  # which, and the flights
+        self._prepared: tuple[Any, Any] = (None, None)  # which, and the regression problem
         # What is imported at first use is imported now, so that no case is charged for it.
         vehicle = PointMassVehicle(0.5, (5.0, 3.0))
         flight = simulate_flight(None, vehicle, duration=1.0, sample_rate=20.0, seed=0)
@@ -216,57 +214,59 @@ class FlightDesk:
 
     def fly(self, unit: int, cells: Sequence[int]) -> None:
         """Have the flights of a unit in the condition of these cells."""
-        self._fly(unit, self._definition.flights.cells[cells[0]])
-
-    def _fly(self, unit: int, cell: Cell) -> Flown:
-        key = (unit, cell.setup.flights)
-        if self._flown is None or self._flown[0] != key:
-            self._flown = self._prepared = None
+        key = (unit, self._definition.flights.cells[cells[0]].setup.flights)
+        if self._flown[0] != key:
+            self._flown = self._prepared = (None, None)
             gc.collect()  # what a flight has left is not charged to the next
             self._flown = (key, fly(self._definition, *key))
-        return self._flown[1]
 
     def prepare(self, unit: int, cells: Sequence[int]) -> None:
         """Have the regression problem that these cells share."""
-        self._prepare(unit, self._definition.flights.cells[cells[0]])
-
-    def _prepare(self, unit: int, cell: Cell) -> tuple[Flown, Prepared]:
-        flown, setup = self._fly(unit, cell), cell.setup
+        self.fly(unit, cells)
+        setup = self._definition.flights.cells[cells[0]].setup
         key = (setup.derivative, setup.library, setup.online)
-        if self._prepared is None or self._prepared[0] != key:
-            self._prepared = None
-            prepared = setup.online.flying(self._estimator(cell)).prepare(flown.fleet)
-            self._prepared = (key, prepared)
-        return flown, self._prepared[1]
+        if self._prepared[0] != key:
+            self._prepared = (None, None)
+            estimator = setup.online.flying(self._estimator(cells[0]))
+            self._prepared = (key, estimator.prepare(self._flown[1].fleet))
 
-    def _estimator(self, cell: Cell) -> Estimator:
-        if cell.index not in self._estimators:
-            self._estimators[cell.index] = estimator_of(self._definition, cell)
-        return self._estimators[cell.index]
+    def _estimator(self, index: int) -> Estimator:
+        if index not in self._estimators:
+            self._estimators[index] = estimator_of(
+                self._definition, self._definition.flights.cells[index]
+            )
+        return self._estimators[index]
 
     def cases(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
         """The rows of cells that share a fit, or a path of penalties."""
         rows = []
-        for cell, reading in self.readings(unit, cells):
+        for index, reading in self.readings(unit, cells):
             estimate, values = reading.estimate, reading.values | truth_of(reading.flown.draw)
             reason = one_line(estimate.reason or "", MAX_REASON)
-            rows.append((cell.index, estimate.status, reason, values))
+            rows.append((index, estimate.status, reason, values))
         return {"rows": rows}
 
-    def readings(self, unit: int, cells: Sequence[int]) -> Iterator[tuple[Cell, Reading]]:
+    def readings(self, unit: int, cells: Sequence[int]) -> Iterator[tuple[int, Reading]]:
         """Each of these cells, read."""
-        chosen = [self._definition.flights.cells[index] for index in cells]
-        flown, prepared = self._prepare(unit, chosen[0])
-        first, problem = self._estimator(chosen[0]), prepared.problem
-        if fractions := path_fractions(chosen[0]) if len(chosen) > 1 else ():
+        self.prepare(unit, cells)
+        flown, prepared = self._flown[1], self._prepared[1]
+        first, problem = self._estimator(cells[0]), prepared.problem
+        if (
+            fractions := path_fractions(self._definition.flights.cells[cells[0]])
+            if len(cells) > 1
+            else ()
+        ):
             backend: Any = first.backend
             walked = path(problem, backend, fractions, tolerance=first.tolerance).fits
             fit_of = dict(zip(fractions, walked, strict=True))
-            fits = [fit_of[float(cell.settings[ALPHA])] for cell in chosen]
+            fits = [
+                fit_of[float(self._definition.flights.cells[index].settings[ALPHA])]
+                for index in cells
+            ]
         else:  # one fit, read in several ways
-            fits = [first.fit(prepared)] * len(chosen)
-        for cell, fit in zip(chosen, fits, strict=True):
-            yield cell, Reading(self._estimator(cell).read(prepared, fit), fit, problem, flown)
+            fits = [first.fit(prepared)] * len(cells)
+        for index, fit in zip(cells, fits, strict=True):
+            yield index, Reading(self._estimator(index).read(prepared, fit), fit, problem, flown)
 
     def ready(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
         """Have a core of its own, and the flight; the memory [MB] so far."""
@@ -277,6 +277,5 @@ class FlightDesk:
 
     def estimate(self, unit: int, cells: Sequence[int]) -> None:
         """Estimate from the record of the flight; a refusal takes its time too."""
-        cell = self._definition.flights.cells[cells[0]]
         with suppress(Exception):
-            self._estimator(cell).estimate(self._fly(unit, cell).fleet)
+            self._estimator(cells[0]).estimate(self._flown[1].fleet)

@@ -29,6 +29,7 @@ from sparsefit.study.toml_file import canonical_json, digest, numbered
 from sparsefit.study.worker import Answer, Ask
 
 AS_SAID = "as the study says"
+BATCH, PROBLEM, FIT = range(3)  # what cells share
 WORK = {"fly": "simulating the flight", "prepare": "building the library", "cases": "fitting"}
 
 
@@ -135,23 +136,21 @@ class FlightExperiment(Experiment):
             return {}
 
     @cached_property
-    def _shared(self) -> dict[str, list[int]]:
-        """The numbers of the batch, problem and ask that each cell shares with others.
+    def _shared(self) -> list[list[int]]:
+        """The numbers of the batch, problem and fit that each cell shares with others.
 
-        A batch is of a condition and a desk, so that nothing is simulated twice; an ask is one fit,
-        or those of a path over penalties.
+        A batch is of a condition and a desk, so that nothing is simulated twice; a fit is one, or
+        those of a path over penalties.
         """
-        places: dict[str, dict[object, int]] = {name: {} for name in ("batch", "problem", "ask")}
-        numbers: dict[str, list[int]] = {name: [] for name in places}
+        numbers: dict[object, int] = {}
+        shared = []
         for cell in self.design.cells:
             setup, along = cell.setup, {ALPHA} if path_fractions(cell) else set()
             others = canonical_json({k: v for k, v in cell.settings.items() if k not in along})
-            rows = (setup.flights, setup.derivative, setup.library, setup.online)
-            batch = (setup.flights, self._desk_of(cell))
-            keys = {"batch": batch, "problem": rows, "ask": (rows, cell.choice, others)}
-            for name, key in keys.items():
-                numbers[name].append(places[name].setdefault(key, len(places[name])))
-        return numbers
+            problem = (setup.flights, setup.derivative, setup.library, setup.online)
+            keys = ((setup.flights, self._desk_of(cell)), problem, (problem, cell.choice, others))
+            shared.append([numbers.setdefault(key, len(numbers)) for key in keys])
+        return shared
 
     def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
         """All of a flight's steps; back-ends of others have a process of their own."""
@@ -163,7 +162,7 @@ class FlightExperiment(Experiment):
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         for unit, row in enumerate(wanted):
-            for cells in self._split(np.flatnonzero(row).tolist(), "batch"):
+            for cells in self._split(np.flatnonzero(row).tolist(), BATCH):
                 yield Batch(unit, tuple(cells))
 
     def run(self, batch: Batch) -> Asking[None]:
@@ -172,22 +171,25 @@ class FlightExperiment(Experiment):
         A path that is lost is tried fit by fit: the blame belongs to one of them.
         """
         steps = deque([("fly", list(batch.cells))])
-        for group in self._split(batch.cells, "problem"):
-            steps += [("prepare", group), *(("cases", fit) for fit in self._split(group, "ask"))]
+        for group in self._split(batch.cells, PROBLEM):
+            steps += [("prepare", group), *(("cases", fit) for fit in self._split(group, FIT))]
         ended: set[int] = set()
         while steps:
             verb, cells = steps.popleft()
             if cells[0] in ended:
                 continue
-            ask = self._ask(verb, batch.unit, cells)
-            answer = yield ask
-            if answer and answer.status == "crashed" and verb != "cases":  # from outside, maybe
+            fits, cell = 1, self.design.cells[cells[0]]
+            if verb == "cases" and len(cells) > 1:
+                fits = max(len(path_fractions(cell)), 1) + len(cells) - 1
+            limit = self.definition.rules.case_timeout * fits
+            content = {"unit": batch.unit, "cells": cells}
+            ask = Ask(verb, content, limit, self._desk_of(cell))
+            answer: Answer = yield ask
+            if answer.status == "crashed" and verb != "cases":  # from outside, maybe
                 answer = yield ask
-            assert answer is not None
-            outcomes: list[Outcome] = []
             if answer.status == "ok" and verb == "cases":
                 try:
-                    outcomes = self._outcomes(batch.unit, cells, answer)
+                    yield from self._outcomes(batch.unit, cells, answer)
                 except (ValueError, TypeError, LookupError, RecursionError) as error:
                     reason = f"the worker process told no outcome: {error}"
                     answer = Answer("crashed", reason[:200])
@@ -195,25 +197,17 @@ class FlightExperiment(Experiment):
                 steps.extendleft((verb, [cell]) for cell in reversed(cells))
             elif answer.status != "ok":
                 reason = answer.words(WORK[verb])
-                for cell in cells:
-                    truth = self.truth(batch.unit, cell)
-                    yield Outcome(batch.unit, cell, answer.status, reason, truth)
+                for own in cells:
+                    truth = self.truth(batch.unit, own)
+                    yield Outcome(batch.unit, own, answer.status, reason, truth)
                 ended |= set(cells)
-            yield from outcomes
 
-    def _split(self, cells: Iterable[int], name: str) -> list[list[int]]:
+    def _split(self, cells: Iterable[int], level: int) -> list[list[int]]:
         """Cells in groups of equal number, in order of first appearance."""
         groups: dict[int, list[int]] = {}
         for cell in cells:
-            groups.setdefault(self._shared[name][cell], []).append(cell)
+            groups.setdefault(self._shared[cell][level], []).append(cell)
         return list(groups.values())
-
-    def _ask(self, verb: str, unit: int, cells: list[int]) -> Ask:
-        fits, cell = 1, self.design.cells[cells[0]]
-        if verb == "cases" and len(cells) > 1:
-            fits = max(len(path_fractions(cell)), 1) + len(cells) - 1
-        limit = self.definition.rules.case_timeout * fits
-        return Ask(verb, {"unit": unit, "cells": cells}, limit, self._desk_of(cell))
 
     def _outcomes(self, unit: int, cells: list[int], answer: Answer) -> list[Outcome]:
         """The outcomes that an answer tells, held against the plan; raises where it is odd."""

@@ -21,14 +21,14 @@ from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError
 from sparsefit.study.columns import Column, Outcome
 from sparsefit.study.definition import Definition
-from sparsefit.study.worker import Answer, Ask
+from sparsefit.study.worker import Ask
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Columns: TypeAlias = Mapping[str, Sequence[Any]]
 T = TypeVar("T")
-Asking: TypeAlias = Generator[Ask | Outcome, Answer | None, T]  # until it returns a T
+Asking: TypeAlias = Generator[Ask | Outcome, Any, T]  # asks are sent an Answer; returns a T
 
 
 @dataclass(frozen=True)
