@@ -101,20 +101,20 @@ def fit(
     target: Any = None,
     backend: Backend | str | None = None,
     *,
-    groups: Any = None,
     tolerance: float = TOLERANCE,
     **settings: Any,
 ) -> Fit:
     """Solve one problem and certify the answer.
 
     ``fit(problem, backend)``, or ``fit(theta, target, backend)`` with arrays, a frame or a sparse
-    matrix and ``groups``, k labels, as of `RegressionProblem.from_arrays`. backend: what
-    ``backends.get(name, **settings)`` returns, or a name, with ``settings`` in place of defaults. A
-    certificate above ``tolerance``, with all that rounding can hide of it, gives status
-    ``inaccurate``, with the best solution found. An alpha_fraction of "auto" is chosen first: the
-    fit is the chosen point of the path. Raises InputError on what is not valid.
+    matrix, and ``groups``, ``subgroups``, ``names``, ``sample_weight`` and ``intercept`` as of
+    `RegressionProblem.from_arrays`. backend: what ``backends.get(name, **settings)`` returns, or a
+    name, with ``settings`` in place of defaults. A certificate above ``tolerance``, with all that
+    rounding can hide of it, gives status ``inaccurate``, with the best solution found. An
+    alpha_fraction of "auto" is chosen first: the fit is the chosen point of the path. Raises
+    InputError on what is not valid.
     """
-    posed, chosen = _posed("fit", problem, target, backend, groups, settings)
+    posed, chosen = _posed("fit", problem, target, backend, settings)
     return certified(posed, chosen, tolerance=tolerance)
 
 
@@ -124,7 +124,6 @@ def path(
     backend: Any = None,
     alpha_fractions: Any = FRACTIONS,
     *,
-    groups: Any = None,
     tolerance: float = TOLERANCE,
     **settings: Any,
 ) -> Path:
@@ -138,19 +137,21 @@ def path(
     """
     if isinstance(problem, RegressionProblem) and backend is not None:
         alpha_fractions, backend = backend, None
-    posed, chosen = _posed("path", problem, target, backend, groups, settings)
+    posed, chosen = _posed("path", problem, target, backend, settings)
     if is_integer(alpha_fractions, 2):
         alpha_fractions = np.geomspace(1.0, FRACTIONS[-1], int(alpha_fractions))
     return certified_path(posed, chosen, alpha_fractions, tolerance=tolerance)
 
 
 def _posed(
-    verb: str, problem: Any, target: Any, backend: Any, groups: Any, settings: dict[str, Any]
+    verb: str, problem: Any, target: Any, backend: Any, settings: dict[str, Any]
 ) -> tuple[RegressionProblem, Backend]:
     """The problem and the back-end of a call in either form."""
+    about = ("groups", "subgroups", "names", "sample_weight", "intercept")
+    given = {key: settings.pop(key) for key in about if key in settings}
     if isinstance(problem, RegressionProblem):
-        if groups is not None:
-            raise InputError(f"{verb}: the problem has its groups: from_arrays takes others")
+        for key in given:
+            raise InputError(f"{verb}: the problem has its {key}: from_arrays takes others")
         if backend is not None:
             raise InputError(f"{verb} takes a problem and a back-end: {verb}(problem, backend)")
         backend = target
@@ -158,7 +159,7 @@ def _posed(
         words = f"{verb} needs a RegressionProblem and a back-end, or arrays"
         raise InputError(f'{words}: {verb}(theta, target, "lasso", alpha_fraction=0.1)')
     else:
-        problem = RegressionProblem.from_arrays(problem, target, groups)
+        problem = RegressionProblem.from_arrays(problem, target, **given)
     if settings and not isinstance(backend, str):
         raise InputError(f'{verb}: settings go with a back-end\'s name: {verb}(..., "lasso", ...)')
     return problem, get(backend, **settings) if isinstance(backend, str) else named(backend)

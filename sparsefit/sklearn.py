@@ -20,8 +20,8 @@ from scipy.sparse import issparse
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.backends import BACKENDS, get, load, named
-from sparsefit.errors import InputError, MissingExtra, SparsefitError, unknown
-from sparsefit.regression.backend import Backend, PenalisedBackend
+from sparsefit.errors import InputError, MissingExtra, SparsefitError
+from sparsefit.regression.backend import Backend, PenalisedBackend, unknown_setting
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import fit as certified
 from sparsefit.regression.problem import RegressionProblem
@@ -178,13 +178,8 @@ class _Named(SparseRegressor):
     def __new__(cls, *arguments: Any, **settings: Any) -> Self:
         """Refuse a parameter that is none, with the one that may be meant."""
         for key in settings:
-            if key in cls._get_param_names():
-                continue
-            if key == "alpha" and "alpha_fraction" in cls._get_param_names():
-                words = "alpha_fraction, the penalty over the smallest one whose weights are all"
-                words += " zero, in (0, 1]; alpha_ tells the penalty after a fit"
-                raise InputError(f"{cls.__name__} takes {words}")
-            raise unknown(f"parameter of {cls.__name__}", key, cls._get_param_names())
+            if key not in (valid := cls._get_param_names()):
+                raise unknown_setting(f"parameter of {cls.__name__}", key, valid)
         instance: Self = super().__new__(cls)
         return instance
 

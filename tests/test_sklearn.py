@@ -212,7 +212,7 @@ def test_weights_can_be_kept_from_being_negative():
 
 
 def test_a_parameter_that_is_none_is_refused_with_the_one_that_is_meant():
-    with pytest.raises(InputError, match="Lasso takes alpha_fraction, the penalty over"):
+    with pytest.raises(InputError, match='of Lasso "alpha": set alpha_fraction, the penalty'):
         regressors.Lasso(alpha=0.1)
     with pytest.raises(InputError, match='unknown parameter of Lasso "grups"'):
         regressors.Lasso(grups=[1, 2])

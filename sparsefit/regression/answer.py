@@ -57,8 +57,15 @@ class Fit(Brief):
     def predict(self, theta: Any) -> Array:
         """The target at theta (r, k), an array, frame or sparse matrix: (r,) of one target, (r, n).
 
-        Raises InputError where theta has other columns than the problem.
+        Columns of a frame are taken by the names that the problem has, in whatever order they are;
+        a frame that has none of these is an array. Raises InputError where a column is missing.
         """
+        names = self.problem.names
+        labels = {str(label): label for label in getattr(theta, "columns", ())}
+        if len(set(names)) == len(names) and not labels.keys().isdisjoint(names):
+            if missing := [name for name in names if name not in labels]:
+                raise InputError(f"predict needs the column {missing[0]!r}, and theta has it not")
+            theta = theta[[labels[name] for name in names]]
         values = getattr(theta, "to_numpy", lambda: theta)()
         is_sparse = hasattr(values, "tocsr")
         rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))

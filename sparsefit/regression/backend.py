@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
@@ -193,6 +193,14 @@ def checked_class(where: str, cls: Any, method: str, *texts: str) -> Any:
     return cls
 
 
+def unknown_setting(what: str, key: str, valid: Collection[str]) -> InputError:
+    """The error for a setting that there is not; alpha is the fraction of ours, as a rule."""
+    if key != "alpha" or "alpha_fraction" not in valid:
+        return unknown(what, key, valid)
+    words = "the penalty over the smallest one whose weights are all zero, in (0, 1]"
+    return InputError(f'unknown {what} "alpha": set alpha_fraction, {words}; a fit tells its alpha')
+
+
 def made(what: str, cls: Any, settings: Mapping[str, Any], **preset: Any) -> Any:
     """``cls(**settings, **preset)``, a dataclass; what: `back-end 'lasso'`, say.
 
@@ -201,7 +209,7 @@ def made(what: str, cls: Any, settings: Mapping[str, Any], **preset: Any) -> Any
     valid = [item.name for item in fields(cls) if item.init and item.name not in preset]
     for key in settings:
         if key not in valid:
-            raise unknown(f"setting of {what}", key, valid)
+            raise unknown_setting(f"setting of {what}", key, valid)
     try:
         with quiet():
             return cls(**settings, **preset)

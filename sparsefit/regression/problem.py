@@ -144,11 +144,11 @@ class RegressionProblem(Brief):
     ) -> "RegressionProblem":
         """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
 
-        theta may be sparse (scipy), a memory map, a distributed array, a DataFrame, whose names
-        are kept, or anything with a shape whose rows can be sliced. Arrays of float64 in C or
-        Fortran order are read where they are: leave them unchanged while the problem is in use.
-        `fit` and `path` refuse an array in memory that was changed in place, by a digest of 512 of
-        its entries; of files and distributed arrays no change is noticed.
+        theta may be sparse (scipy), a memory map, a distributed array, a DataFrame or anything
+        with a shape whose rows can be sliced; names of a frame's or a series' columns are kept.
+        Arrays of float64 in C or Fortran order are read where they are: leave them unchanged while
+        the problem is in use. `fit` and `path` refuse an array in memory that was changed in place,
+        by a digest of 512 of its entries; of files and distributed arrays no change is noticed.
 
         ``groups``: k labels that sort, equal for the columns of one group; without them every
         column is one. ``subgroups``: k labels of smaller groups within these. ``sample_weight``
@@ -164,13 +164,11 @@ class RegressionProblem(Brief):
             inner = _numbers(subgroups, columns, "subgroups")
             if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
                 raise InputError("subgroups must lie within groups: one of them spans two groups")
-        if names is None and hasattr(theta, "columns") and hasattr(theta, "to_numpy"):
-            names = [str(name) for name in theta.columns]
-        named = range(columns) if names is None else names
+        named = _labels(theta, columns) if names is None else names
         listed = isinstance(named, Iterable) and not isinstance(named, str)
         if not listed or len(labels := tuple(map(str, named))) != columns:
             raise InputError(f"names must be a list with one name per column, {columns} of them")
-        targets, adjusted = tuple(map(str, range(values.shape[1]))), None
+        targets, adjusted = tuple(map(str, _labels(target, values.shape[1]))), None
         if len(values) == source.shape[0]:
             adjusted, values = Adjustment.of(values, sample_weight, intercept)
         return cls(
@@ -198,15 +196,17 @@ class RegressionProblem(Brief):
         if self.design.digest() != self.digest:
             raise InputError("theta was changed while the problem was in use: hand in a copy")
 
-    @property
+    @cached_property
     def rows(self) -> Array:
-        """Theta (m, k) as one array. Raises InputError where it is none."""
-        if self.adjusted is None and self.design.in_memory:
-            rows: Array = self.theta
-            return rows
-        words = f"this needs theta as one array in memory, and it is {self.design.kind}, weighted"
-        words += " or centred: use lasso or another penalised back-end, or hand in the array"
-        raise InputError(words)
+        """Theta (m, k), weighted and centred, as one array. Raises InputError where it is none."""
+        if not self.design.in_memory:
+            words = "this needs theta as one array in memory, and it is sparse, dask's or a file's"
+            raise InputError(f"{words}: use lasso or another penalised back-end")
+        rows: Array = self.theta
+        if self.adjusted is not None:
+            rows = self.design.raw_columns(np.arange(self.columns))
+            rows[:, self.design.squares == 0.0] = 0.0  # columns that are constant, to rounding
+        return rows
 
     @property
     def raw_target(self) -> Array:
@@ -341,6 +341,14 @@ def _matrix(values: ArrayLike, name: str) -> Array:
         words = "theta must have shape (m, k) and target (m,) or (m, n)"
         raise InputError(f"{words}, and {name} has {array.shape}")
     return array if array.flags.c_contiguous or array.flags.f_contiguous else array.copy()
+
+
+def _labels(table: Any, count: int) -> Sequence[Any]:
+    """The names of the columns of a frame, or that of a series; numbers of any other array."""
+    if not hasattr(table, "to_numpy"):
+        return range(count)
+    name = getattr(table, "name", None)
+    return getattr(table, "columns", range(count) if name is None else [name])
 
 
 def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:

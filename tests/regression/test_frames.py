@@ -43,6 +43,35 @@ def test_a_fit_with_an_intercept_predicts_with_it():
     assert fit.predict(theta) == pytest.approx(target[:, 0] + 7.0, abs=0.1)
 
 
+def test_columns_of_a_frame_are_taken_by_their_names():
+    theta, target = arrays()
+    frame = pd.DataFrame(theta, columns=["a", "<b>", "c", "d"])
+    fit = sf.fit(frame, pd.DataFrame(target, columns=["u", "v"]), "lasso", alpha_fraction=0.01)
+    turned = frame[["d", "c", "<b>", "a"]].assign(more=1.0)
+    np.testing.assert_array_equal(fit.predict(turned), fit.predict(theta))
+    np.testing.assert_array_equal(fit.predict(pd.DataFrame(theta)), fit.predict(theta))
+    with pytest.raises(InputError, match="predict needs the column 'a', and theta has it not"):
+        fit.predict(turned.drop(columns="a"))
+    assert list(fit.to_frame().columns) == ["u", "v"]
+    assert list(sf.fit(frame, pd.Series(target[:, 0], name="u"), "lasso").to_frame()) == ["u"]
+    assert list(sf.fit(frame, pd.Series(target[:, 0]), "lasso").to_frame()) == ["0"]
+
+
+@pytest.mark.parametrize("name", ["lasso", "least-squares", "stlsq", "group-omp"])
+def test_weights_and_an_intercept_go_with_arrays(name):
+    """Samples of weight 2 count as two; rows that are centred by hand have the same weights."""
+    theta, target = arrays(1)
+    weight = np.repeat([2.0, 1.0], 30)
+    fit = sf.fit(theta + 3.0, target + 7.0, name, sample_weight=weight, intercept=True)
+    twice = np.repeat(np.arange(60), weight.astype(int))
+    centred = [rows - rows.mean(axis=0) for rows in (theta[twice], target[twice])]
+    by_hand = sf.fit(*centred, name)
+    assert fit.status == by_hand.status == "ok"
+    np.testing.assert_allclose(fit.weights, by_hand.weights, atol=1e-9)
+    whole = fit.predict(theta + 3.0)[twice]
+    assert whole.mean() == pytest.approx(target[twice].mean() + 7.0)
+
+
 def test_alpha_stands_beside_its_fraction():
     path = sf.path(problem(1), "lasso", [0.5, 0.1])
     theta, target = arrays(1)
@@ -96,11 +125,12 @@ def test_arrays_a_name_and_settings_are_a_fit():
     [
         (lambda t, y: sf.fit(t, y), r'or arrays: fit\(theta, target, "lasso"'),
         (lambda t, y: sf.fit(t, "lasso"), "needs a RegressionProblem and a back-end"),
-        (lambda t, y: sf.fit(t, y, "lasso", alpha=0.1), "alpha_fraction"),
+        (lambda t, y: sf.fit(t, y, "lasso", alpha=0.1), '"alpha": set alpha_fraction, the penalty'),
         (lambda t, y: sf.fit(t, y, backends.get("lasso"), alpha_fraction=0.1), "back-end's name"),
         (lambda t, y: sf.fit(t, y, "lasso", groups=[[0, 1], [2]]), "one label per column"),
         (lambda t, y: sf.fit(t, y, "lasso", groups=[[0, 1], [2, 3]]), "one label per column"),
         (lambda t, y: sf.fit(problem(), "lasso", groups=[0, 0, 1, 1]), "has its groups"),
+        (lambda t, y: sf.fit(problem(), "lasso", intercept=True), "has its intercept"),
     ],
 )
 def test_calls_that_cannot_be_meant_are_refused_in_a_line(call, words):
