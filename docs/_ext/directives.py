@@ -31,8 +31,10 @@ from sphinx.util.docutils import SphinxDirective
 
 from sparsefit import backends
 from sparsefit.cli import parser
-from sparsefit.study import definition, entries, figures, keys, measures, tables
+from sparsefit.study import crossing, entries, figures, keys, measures, tables
+from sparsefit.study.quantities import QUANTITIES, FlightWords
 from sparsefit.study.resampling import SUMMARY_NAMES
+from sparsefit.study.schema import described, sentences
 
 DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"
@@ -46,9 +48,26 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
     return [f"| {' | '.join(row)} |" for row in (first, ["---"] * len(first), *every)]
 
 
+# The records that keys of a section are fields of: "study" is the top of a file of flights,
+# "solvers" that of problems, whose [[backends]] are "contenders", [[solvers]] "own-solvers".
+RECORDS = {
+    "study": (keys.FlightFile,), "flights": (FlightWords,), "logs": (keys.LogRules,),
+    "backends": (keys.BackendKeys,), "protocols": (keys.ProtocolKeys,), "split": (keys.Split,),
+    "run": (keys.RunRule,), "select": (keys.SelectionRule,), "outputs": (keys.Outputs,),
+    "outputs.reference": (keys.Reference,), "solvers": (keys.ProblemFile,),
+    "problems": (keys.ProblemKeys, keys.Generator), "contenders": (keys.ContenderKeys,),
+    "own-solvers": (keys.SolverKeys,), "path": (keys.PathRule,), "clock": (keys.Clock,),
+}  # fmt: skip
+
+
 def meanings(section: str) -> dict[str, str]:
     """The words of each key of a section: of its records, or of study-keys.toml."""
-    words = definition.keys_of(section) if section in keys.OWN else {}
+    words = dict.fromkeys(crossing.SECTION_KEYS.get(section, ()), "")
+    for kind in RECORDS.get(section, ()):
+        words |= sentences(kind)
+    if section == "flights":
+        rows = QUANTITIES.items()
+        words |= {name: described(row.sentence, row.unit, row.range) for name, row in rows}
     return words | tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8")).get(section, {})
 
 

@@ -57,17 +57,15 @@ COMPARED = (
            "SHARE", float),
 )  # fmt: skip
 PARTS = Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"})
-SECTION = Option("section", "flights, library, run, select ...; default: all of them", "SECTION",
-                 extra={"nargs": "?"})  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:
     """Declare the verb and its actions."""
     parser = verb(verbs, "study", print_help, about=ABOUT)
     actions = parser.add_subparsers(metavar="ACTION", title="actions", dest="action")
-    for run in (check, plan, run_study, status, errors, show, report, compare, merge, keys):
-        more = {run_study: RUN, show: SHOW, compare: COMPARED, merge: (PARTS,), keys: (SECTION,)}
-        of_study = () if run in (compare, keys) else (STUDY, RESULTS)
+    for run in (check, plan, run_study, status, errors, show, report, compare, merge):
+        more = {run_study: RUN, show: SHOW, compare: COMPARED, merge: (PARTS,)}
+        of_study = () if run is compare else (STUDY, RESULTS)
         options = (*of_study, *more.get(run, ()))
         verb(actions, run.__name__.removesuffix("_study"), run, options)
 
@@ -120,18 +118,6 @@ def plan(args: argparse.Namespace) -> Reply:
     """Count what a study will do and write."""
     study = read_study(args)
     return Reply({"study": study.name, "question": study.question, **study.counts()})
-
-
-def keys(args: argparse.Namespace) -> Reply:
-    """List the keys of a study file, with their units, ranges and defaults.
-
-    example:
-      sparsefit study keys flights
-    """
-    from sparsefit.study.definition import keys_of
-    from sparsefit.study.keys import OWN
-
-    return Reply({name: keys_of(name) for name in ([args.section] if args.section else OWN)})
 
 
 def run_study(args: argparse.Namespace) -> Reply:

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sparsefit.codec import Place, build
-from sparsefit.errors import InputError, one_of
+from sparsefit.errors import InputError
 from sparsefit.study import crossing, keys, schema
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
 from sparsefit.study.crossing import FlightDesign
 from sparsefit.study.draw import Logs
-from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.toml_file import Section, canonical_json, read_toml
 
 
@@ -111,23 +110,3 @@ def _content(document: Section, design: FlightDesign | ProblemDesign) -> object:
     logs = [piece.digest for each in rules if isinstance(each, Logs) for piece in each.pieces]
     content |= {name: flat[name] for name in flat if name in document}
     return content | ({"logs": list(dict.fromkeys(logs))} if logs else {})
-
-
-def keys_of(section: str) -> dict[str, str]:
-    """Key of a section of `keys.OWN` -> its sentence, unit, range and default; empty words where
-    its record, of the estimator, has none.
-
-    Raises:
-        InputError: with the nearest name, if there is no such section.
-    """
-    one_of("section", section, keys.OWN)
-    words = {
-        name: text for kind in keys.OWN[section] for name, text in schema.sentences(kind).items()
-    }
-    words |= {name: words.get(name, "") for name in crossing.SECTION_KEYS.get(section, ())}
-    if section == "flights":
-        rows = {
-            name: schema.described(q.sentence, q.unit, q.range) for name, q in QUANTITIES.items()
-        }
-        words |= {"count": "", **rows}
-    return words

@@ -8,11 +8,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Literal, TypeAlias, get_args
 
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError
-from sparsefit.study.quantities import FlightWords
 from sparsefit.study.schema import (
     INSIDE,
     NOT_NEGATIVE,
@@ -355,15 +354,3 @@ class ProblemFile(StudyFile):
     derivative: Section = key("As above, for problems that are flights.", dict)
     library: Section = key("As above, for problems that are flights.", dict)
     select: ProblemSelection = key("By what `sparsefit select` chooses.", ProblemSelection)
-
-
-OWN: dict[str, tuple[type[Any], ...]] = {
-    "study": (FlightFile,), "flights": (FlightWords,), "logs": (LogRules,), "derivative": (),
-    "library": (), "readout": (), "online": (), "backends": (BackendKeys,),
-    "protocols": (ProtocolKeys,), "split": (Split,), "run": (RunRule,), "select": (SelectionRule,),
-    "outputs": (Outputs,), "outputs.reference": (Reference,), "solvers": (ProblemFile,),
-    "problems": (ProblemKeys, Generator), "contenders": (ContenderKeys,),
-    "own-solvers": (SolverKeys,), "path": (PathRule,), "clock": (Clock,),
-}  # fmt: skip
-"""Section -> the records that its keys are fields of; "study" is the top of a file of flights,
-"solvers" that of problems, whose [[backends]] are "contenders", [[solvers]] "own-solvers"."""

@@ -158,4 +158,4 @@ def nearest(name: str, names: Iterable[str]) -> str:
     if name in SYNONYMS:
         return f': did you mean "{SYNONYMS[name]}"?'
     near = suggestion(name, names)
-    return near if "did you mean" in near else ": `sparsefit study keys flights` lists them"
+    return near if "did you mean" in near else ": `sparsefit simulate --help` lists them"

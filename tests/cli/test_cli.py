@@ -313,7 +313,7 @@ def test_every_back_end_passes_its_check(capsys, name):
 
 
 VERBS = ("simulate", "estimate", "study", "study check", "study plan", "study run", "study status",
-         "study errors", "study show", "study report", "study compare", "study merge", "study keys",
+         "study errors", "study show", "study report", "study compare", "study merge",
          "select", "export", "backends", "backends list", "backends check",
          "completion")  # fmt: skip
 

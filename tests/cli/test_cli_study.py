@@ -91,14 +91,6 @@ def test_check_and_plan_say_what_is_planned(capsys, half):
     assert (record["cases"], record["tables"]) == (PLANNED, ["errors", "times"])
 
 
-def test_keys_of_a_section_are_listed(capsys):
-    out = run(capsys, "study", "keys", "run")[1]
-    assert "Seconds that one case may take. [s] (above 0) Default 60.0." in out
-    assert set(json.loads(run(capsys, "study", "keys", "--json")[1])) >= {"flights", "select"}
-    code, _, err = run(capsys, "study", "keys", "flihgts")
-    assert (code, 'did you mean "flights"?' in err) == (2, True)
-
-
 def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
     code, out, err = run(capsys, "study", "run", finished)
     assert (code, err) == (0, "")
