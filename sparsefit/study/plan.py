@@ -9,6 +9,7 @@ are two, supplies units, cells and the way in which a batch of cases is run; all
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -129,17 +130,9 @@ class Plan:
         return [case_id(unit, cell) for unit in range(units) for cell in range(cells)]
 
     @cached_property
-    def identities(self) -> list[str]:
-        """The identity of every case: what it is, whatever study asks for it."""
-        cells = [str(name) for name in self.experiment.cells["identity"]]
-        rows = [str(name) for name in self.experiment.units["identity"]]
-        return [f"{row}.{cell}" if row else cell for row in rows for cell in cells]
-
-    @cached_property
     def keys(self) -> list[str]:
         """The key under which the store keeps each case."""
-        numbers = np.repeat(self.experiment.units["flight"], self.shape[1]).tolist()
-        return self.keys_of({"identity": self.identities, "flight": numbers}, by_case=False)
+        return self.keys_of(self.columns, by_case=False)
 
     def keys_of(self, columns: Mapping[str, Sequence[Any]], *, by_case: bool) -> list[str]:
         """The key of each row of `cases.parquet`, by its case_id or by its identity.
@@ -176,25 +169,18 @@ class Plan:
     @cached_property
     def columns(self) -> dict[str, list[Any]]:
         """Every planned column, a value a case."""
-        units, cells = self.shape
-        unit_columns, cell_columns = self.experiment.units, self.experiment.cells
-        content: dict[str, list[Any]] = {"case_id": self.case_ids}
-        for name, values in unit_columns.items():
-            if name not in ("unit", "identity"):
-                content[name] = [value for value in values for _ in range(cells)]
-        for name, values in cell_columns.items():
-            if name != "identity":
-                content[name] = list(values) * units
-        conditions = cell_columns["condition"]
-        varied = len(set(conditions)) > 1
-        content["unit"] = [
-            f"{unit} in {condition}" if varied and condition else unit
-            for unit in map(str, unit_columns["unit"])
-            for condition in map(str, conditions)
-        ]
-        content["identity"] = self.identities
-        content["study"] = [self.experiment.definition.name] * self.size
-        return content
+        (rows, count), units, cells = self.shape, self.experiment.units, self.experiment.cells
+        varied = len(set(cells["condition"])) > 1
+        pairs = list(itertools.product(*([*map(str, each["identity"])] for each in (units, cells))))
+        return {
+            "case_id": self.case_ids,
+            **{name: [value for value in units[name] for _ in range(count)] for name in units},
+            **{name: list(cells[name]) * rows for name in cells},
+            "unit": [f"{unit} in {condition}" if varied and condition else str(unit)
+                     for unit, condition in itertools.product(units["unit"], cells["condition"])],
+            "identity": [f"{row}.{cell}" if row else cell for row, cell in pairs],
+            "study": [self.experiment.definition.name] * self.size,
+        }  # fmt: skip
 
     def counts(self) -> dict[str, Any]:
         """The size of the study, JSON-ready: units, conditions, candidates, levels and cases."""
@@ -223,21 +209,18 @@ class Plan:
             InputError: where a name is that of nothing in the study.
         """
         wanted: BoolArray = np.zeros(self.shape, dtype=bool)
-        units = [str(unit) for unit in self.experiment.units["unit"]]
-        columns = self.experiment.cells
-        called = list(zip(*(columns[name] for name in self.experiment.called), strict=True))
+        units = list(map(str, self.experiment.units["unit"]))
+        columns = [self.experiment.cells[name] for name in self.experiment.called]
+        called = list(zip(*columns, strict=True))
         for name in names:
             cells = np.array([any(fnmatchcase(own, name) for own in each) for each in called])
-            rows = np.array([fnmatchcase(unit, name) for unit in units])
-            mine: BoolArray = cells[None, :] | rows[:, None]
+            mine: BoolArray = cells | np.array([[fnmatchcase(unit, name)] for unit in units])
             if not mine.any() and name in self.place_of_case:
                 mine[self.at(self.place_of_case[name])] = True
             if not mine.any():
-                names_ = ", ".join(sorted({own for each in called for own in each[1:]}))
-                words = f"give a back-end, a label, a protocol, a problem, a solver ({names_})"
-                study = self.experiment.definition.name
-                raise InputError(
-                    f'nothing in study {study} is called "{name}": {words} or a case id'
-                )
+                known = ", ".join(sorted({own for values in columns[1:] for own in values}))
+                words = f"give a back-end, a label, a protocol, a problem, a solver ({known})"
+                study = f"study {self.experiment.definition.name}"
+                raise InputError(f'nothing in {study} is called "{name}": {words} or a case id')
             wanted |= mine
         return wanted
