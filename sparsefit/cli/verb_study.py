@@ -221,7 +221,7 @@ def compare(args: argparse.Namespace) -> Reply:
       sparsefit study compare old/table2 studies/table2.toml
     """
     from sparsefit.study import compare as comparing
-    from sparsefit.study.export import read_cases
+    from sparsefit.study.store import read_cases
     from sparsefit.study.study import Study
 
     def cases(name: str) -> pd.DataFrame:

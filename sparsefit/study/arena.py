@@ -114,6 +114,11 @@ class Case:
         """The process that it is solved in."""
         return f"solver {self.contender.family}"
 
+    @property
+    def call(self) -> dict[str, Any]:
+        """Who is called there."""
+        return {"contender": self.number, "tolerance": self.tolerance}
+
 
 def size_of(data: Data) -> dict[str, Value]:
     """The columns that tell the size of a problem."""
@@ -211,7 +216,7 @@ class Arena:
         into[...] = np.nan
         into.flush()
         rows = {"file": str(self.file), "seed": seed, "without": without, "weights": str(path)}
-        ready = yield from self._ask(case, "ready", rows, READY_SECONDS)
+        ready = yield from self._ask(case, "ready", {**case.call, **rows}, READY_SECONDS)
         limit = case.contender.killed(shape[2])
         answer = yield from self._ask(case, "solve", {}, limit, timed=True)
         # An odd seed changes the sign of the target: the answer has it too.
@@ -241,11 +246,10 @@ class Arena:
             self.overhead[desk] = float(np.median(walls))
         if case.number in self.met.setdefault(desk, set()):
             return
-        yield from self._ask(case, "ready", {}, READY_SECONDS)
         try:
             words = "its first call"
             limit = case.contender.killed(small_problem().targets, first=True)
-            first = yield from self._ask(case, "first", {}, limit, timed=True, words=words)
+            first = yield from self._ask(case, "first", case.call, limit, timed=True, words=words)
             self.first.setdefault(case.number, first.wall)
         except Over as over:
             if over.args[0] != "error":
@@ -267,8 +271,6 @@ class Arena:
     ) -> Asking[Answer]:
         """The answer of a process. Raises Over where it is lost, or the code raised."""
         desk = desk or case.desk
-        if verb == "ready":
-            content = {"contender": case.number, "tolerance": case.tolerance, **content}
         answer: Answer = yield Ask(verb, content, limit, desk, timed)
         if answer.lost:
             self.met.pop(desk, None)

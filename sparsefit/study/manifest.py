@@ -29,7 +29,7 @@ from sparsefit.whole_file import write_whole
 MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
 STUDY = (  # files of `study/` that no worker, question or answer passes through
-    *("__init__", "compare", "dask_executor", "entries", "evidence", "export", "figures"),
+    *("__init__", "compare", "dask_executor", "entries", "evidence", "figures"),
     *("latency", "measures", "page", "panels", "pool", "resampling", "runner"),
     *("selection", "solver_times", "store", "study", "table", "tables", "trials"),
 )

@@ -216,28 +216,26 @@ class SolverDesk:
         self,
         contender: int,
         tolerance: float,
-        file: str = "",
-        seed: int = 0,
-        without: tuple[int, int] | None = None,
-        weights: str = "",
+        file: str,
+        seed: int,
+        without: tuple[int, int] | None,
+        weights: str,
     ) -> Mapping[str, Any]:
-        """Copy the rows of a file, or small ones, to be solved next; the memory before that."""
+        """Copy the rows of a file, to be solved next; the memory before that."""
         if self._data is None or self._data[0] != file:
-            small = small_problem()
-            rows = read_rows(file) if file else Data(small.theta, small.target, small.groups)
-            self._data = (file, rows)
-        chosen = self._contenders[contender]
+            self._data = (file, read_rows(file))
         part = part_of(self._data[1], without, seed)
         problem = problem_of(part, partial=without is not None)
-        self._work = (chosen, problem, self._fractions, tolerance)
-        self._into = np.lib.format.open_memmap(weights, mode="r+") if weights else None
+        self._work = (self._contenders[contender], problem, self._fractions, tolerance)
+        self._into = np.lib.format.open_memmap(weights, mode="r+")
         memory = _peak_from_here()
         gc.collect()
         gc.disable()
         return {"memory": memory}
 
-    def first(self) -> Mapping[str, Any]:
-        """A first call, of which nothing is an answer but that a command was late."""
+    def first(self, contender: int, tolerance: float) -> Mapping[str, Any]:
+        """A first call, on a small problem, of which it only counts that a command was late."""
+        self._work = (self._contenders[contender], small_problem(), self._fractions, tolerance)
         try:
             self._solve()
         except LateError as late:

@@ -21,11 +21,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 from sparsefit.errors import InputError, is_integer, told_with
 from sparsefit.study.columns import PARAMETERS
-from sparsefit.study.export import CASES, Row
 from sparsefit.study.manifest import MANIFEST, check_whole, write_manifest
 from sparsefit.study.plan import Plan
 from sparsefit.study.pool import outcomes
-from sparsefit.study.store import STORE, Store, discard
+from sparsefit.study.store import CASES, STORE, Row, Store, discard
 from sparsefit.whole_file import refusing
 
 Progress: TypeAlias = Callable[[int, int, float | None], None]

@@ -3,34 +3,44 @@
     with Store.opened(folder, plan) as store:      # one writer, by the folder's lock
         store.put(outcome, version)
         store.sync()                               # on the disk
-        store.export()                             # Parquet, in plan order
+        store.export()                             # Parquet, in plan order, as it ships
+    read_cases(folder)                             # a frame, if the file is as it was written
 
 `cases.sqlite` begins with the rows of an earlier export, in one transaction, and counts alone as
-long as it is there. A row is kept by what it is (its identity) and has a checksum of its own: a
-damaged one is none, a damaged file is refused in a line. A process that is killed leaves all that
-was committed. Rows that the study no longer plans go with the next export.
+long as it is there. A row is kept by what it is (its identity) and has a checksum of its own, an
+export has it in `manifest.json`: a damaged row is none, a damaged file is refused in a line. A
+process that is killed leaves all that was committed. Rows that the study no longer plans go with
+the next export.
 """
 
 from __future__ import annotations
 
+import json
 import sqlite3
+import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from zlib import crc32
 
 import numpy as np
 
 from sparsefit.arrays import BoolArray
-from sparsefit.errors import InputError
-from sparsefit.study.columns import FAILED, STATUSES, Outcome, body_of
-from sparsefit.study.export import Row, exported_rows, is_regular, write_rows
-from sparsefit.study.manifest import MANIFEST, read_record
+from sparsefit.errors import InputError, is_real
+from sparsefit.study.columns import FAILED, STATUSES, Outcome, body_of, kinds_of
+from sparsefit.study.manifest import MANIFEST, check_whole, read_record
 from sparsefit.study.plan import Plan
-from sparsefit.whole_file import refusing
+from sparsefit.whole_file import refusing, whole_file
 
-STORE = "cases.sqlite"
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+STORE, CASES = "cases.sqlite", "cases.parquet"
 SCHEMA = """CREATE TABLE IF NOT EXISTS cases (key TEXT PRIMARY KEY, status TEXT NOT NULL,
 reason TEXT NOT NULL, version TEXT NOT NULL, body TEXT NOT NULL, crc INTEGER NOT NULL)"""
 REMEDIES = {  # by what SQLite says
@@ -38,24 +48,41 @@ REMEDIES = {  # by what SQLite says
     **dict.fromkeys(("readonly", "unable to open"), "check the folder's permissions"),
     "locked": "another run writes to it: wait for it",
 }
+BATCH, GROUP = 2048, 16_384  # rows that are read, and written, as records at once
+ENDED = ("status", "reason", "version")
+
+
+class Row(NamedTuple):
+    """A row as it is kept: its key in the plan, how it ended, and its body as JSON."""
+
+    key: str
+    status: str
+    reason: str
+    version: str
+    body: str
+
+    @property
+    def crc(self) -> int:
+        """The checksum over all of it."""
+        return crc32("\0".join(self).encode(errors="backslashreplace"))
 
 
 @dataclass
 class Store:
     """The rows of one results folder against a plan.
 
-    status and version: of each case of the plan, empty where there is no row; exported: whether
-    they were read from `cases.parquet`; finished: whether it is of this very study, and holds every
-    case; damaged: rows whose checksum or status is wrong; unplanned: rows of cases that are not
-    planned; pending: rows to be written at the next `sync`.
+    same: whether the manifest is of this very study; status and version: of each case of the plan,
+    empty where there is no row; exported: whether they were read from `cases.parquet`; damaged:
+    rows whose checksum or status is wrong; unplanned: rows of cases that are not planned; pending:
+    rows to be written at the next `sync`.
     """
 
     folder: Path
     plan: Plan
+    same: bool
     status: list[str]
     version: list[str]
     exported: bool = False
-    finished: bool = False
     damaged: int = 0
     unplanned: int = 0
     base: sqlite3.Connection | None = None
@@ -70,7 +97,9 @@ class Store:
             InputError: where a file is damaged or no regular one, or there are rows, and all of
                 them are of another study.
         """
-        store = cls(folder, plan, [""] * plan.size, [""] * plan.size)
+        made = read_record(folder / MANIFEST) or {}
+        same = made.get("study_hash") == plan.experiment.definition.hash
+        store = cls(folder, plan, same, [""] * plan.size, [""] * plan.size)
         for row in store._every(brief=True):
             place = None if row is None else plan.place_of.get(row.key)
             if row is None:
@@ -79,15 +108,12 @@ class Store:
                 store.unplanned += 1
             else:
                 store.status[place], store.version[place] = row.status, row.version or "unknown"
-        made = read_record(folder / MANIFEST) or {}
-        same = made.get("study_hash") == plan.experiment.definition.hash
         if store.unplanned and not any(store.status):
             which = f" (hash {str(made['study_hash'])[:12]})" if made and not same else ""
             raise InputError(
                 f"{folder} was made by a different study{which}, and no case of it is of this one: "
                 "study run --fresh starts over, or rename this study"
             )
-        store.finished = same and store.exported and all(store.status) and not store.unplanned
         return store
 
     @classmethod
@@ -109,6 +135,11 @@ class Store:
                 raise
             finally:
                 store.base = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the `cases.parquet` of this very study holds every case."""
+        return self.same and self.exported and all(self.status) and not self.unplanned
 
     @property
     def done(self) -> BoolArray:
@@ -182,13 +213,53 @@ class Store:
                         yield row if row and row.crc == crc and row.status in STATUSES else None
                     return
             self.exported = True
-        for exported in exported_rows(self.folder, self.plan, brief=brief):
-            yield exported if exported.status in STATUSES else None
+        if is_regular(self.folder / CASES):
+            yield from self._exported(brief)
+
+    def _exported(self, brief: bool) -> Iterator[Row | None]:
+        """The rows of `cases.parquet`.
+
+        Their cases are known by case_id as long as the study is the same, however identities are
+        told by now; those of another study by their identity.
+        """
+        with parquet(self.folder / CASES) as file:
+            there = set(file.schema_arrow.names)
+            heads = there & {"case_id", "flight", "identity", *ENDED}
+            own = [name for name in kinds_of(self.plan.experiment.columns)
+                   if name in there.difference(self.plan.columns, ENDED) and not brief]  # fmt: skip
+            for batch in file.iter_batches(batch_size=BATCH, columns=[*heads, *own]):
+                content = batch.to_pydict()
+                keys = self.plan.keys_of(content, by_case=self.same)
+                every = zip(keys, *(content[name] for name in ENDED), strict=True)
+                for number, (key, status, reason, version) in enumerate(every):
+                    body = body_of({name: content[name][number] for name in own})
+                    row = Row(key, status, reason or "", version or "", body)
+                    yield row if status in STATUSES else None
 
     def export(self) -> None:
         """Write `cases.parquet`, the rows of the plan in its order, whole or not at all."""
+        import pyarrow.parquet as pq
+
         self.sync()
-        write_rows(self.folder, self.plan, self.rows())
+        rows = self.rows()
+        starts = range(0, max(len(rows), 1), GROUP)  # one table at least has the columns
+        tables = (cases_table(self.plan, rows[start : start + GROUP]) for start in starts)
+        first = next(tables)
+        dense = [column.name for column in self.plan.experiment.columns if column.kind.dense]
+        with (
+            whole_file(self.folder / CASES) as file,
+            pq.ParquetWriter(
+                file,
+                first.schema,
+                compression="zstd",
+                compression_level=9,
+                use_dictionary=[name for name in first.column_names if name not in dense],
+                column_encoding=dict.fromkeys(dense, "BYTE_STREAM_SPLIT"),
+                write_page_checksum=True,
+            ) as writer,
+        ):
+            for table in chain([first], tables):
+                writer.write_table(table)
 
 
 def discard(folder: Path, *exported: str) -> None:
@@ -208,3 +279,83 @@ def _telling(path: Path) -> Iterator[None]:
         cause = str(error) if remedy else f"damaged ({error})"
         remedy = remedy or "study run --fresh starts over"
         raise InputError(f"{path}: {cause}: {remedy}") from None
+
+
+def is_regular(path: Path) -> bool:
+    """Whether there is a regular file, no link and no pipe, which may lead anywhere or not end."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}: check the folder") from None
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: no regular file: remove it, or study run --fresh starts over")
+    return True
+
+
+@contextmanager
+def parquet(path: Path) -> Iterator[Any]:
+    """A Parquet file of cases, if it is there, whole, and as it was written.
+
+    Raises:
+        InputError: with the cause and the remedy, also where it breaks while it is read.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not is_regular(path):
+        raise InputError(f"{path}: no such file: run the study first (sparsefit study run)")
+    check_whole(path)
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            facts, schema = file.metadata, file.schema_arrow
+            size = sum(facts.row_group(i).total_byte_size for i in range(facts.num_row_groups))
+            if facts.num_rows > 2_000_000 or size > 1000 * (path.stat().st_size + 1_000_000):
+                words = f"{facts.num_rows} rows of {size} bytes"
+                raise InputError(f"{path}: {words}: it is another file")
+            of_text = {name for name in schema.names if "string" in str(schema.field(name).type)}
+            if missing := sorted({"case_id", "backend", "settings", "identity", *ENDED} - of_text):
+                raise InputError(
+                    f'{path}: no cases of a study, without a column "{missing[0]}" of text: take '
+                    "the file from where it came, or run the study with --fresh"
+                )
+            yield file
+    except (OSError, pa.ArrowException, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: not readable ({error}): run the study with --fresh") from None
+
+
+def read_cases(folder: str | Path) -> pd.DataFrame:
+    """The rows of `cases.parquet` in a results folder, with whatever columns it has.
+
+    Raises:
+        InputError: if there are none yet, the file is not readable, or not as it was written.
+    """
+    with parquet(Path(folder) / CASES) as file:
+        frame: pd.DataFrame = file.read().to_pandas()
+    return frame
+
+
+def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
+    """Rows of `cases.parquet`: of the plan, of the row or of its body; then swept factors."""
+    import pyarrow as pa
+
+    bodies = [json.loads(row.body) for row in rows]
+    places = [plan.place_of[row.key] for row in rows]
+    arrays: dict[str, Any] = {}
+    for column in plan.experiment.columns:
+        name, kind, empty = column.name, column.kind, column.kind.empty
+        if name in ENDED:
+            values = [getattr(row, name) for row in rows]
+        elif name in plan.columns:
+            values = [plan.columns[name][place] for place in places]
+        else:
+            values = [body.get(name, empty) for body in bodies]
+        arrays[name] = pa.array(values, type=pa.type_for_alias(kind.arrow))
+    swept: Mapping[str, Any] = getattr(plan.experiment.definition.design, "sweep", {})
+    for key, levels in swept.items():
+        kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
+        arrays[key] = pa.array([plan.columns[key][place] for place in places], type=kind_)
+    return pa.table(arrays)

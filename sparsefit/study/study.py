@@ -26,7 +26,6 @@ from sparsefit.errors import InputError, SparsefitError, described
 from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.definition import Definition, definition_of, read_definition
-from sparsefit.study.export import cases_table, read_cases
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import Outputs
@@ -35,7 +34,7 @@ from sparsefit.study.plan import Batch, Experiment, Plan
 from sparsefit.study.pool import outcomes
 from sparsefit.study.problem_experiment import ProblemExperiment
 from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, run
-from sparsefit.study.store import Store
+from sparsefit.study.store import Store, cases_table, read_cases
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -26,9 +26,8 @@ import numpy as np
 
 import sparsefit as sf
 from sparsefit.errors import InputError
-from sparsefit.study.export import CASES
 from sparsefit.study.guardian import children_of
-from sparsefit.study.store import STORE, Store
+from sparsefit.study.store import CASES, STORE, Store
 from tests.study import hostile
 from tests.study.small_study import CORRELATED, PROBLEMS, small_study
 

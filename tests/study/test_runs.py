@@ -16,9 +16,8 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import plugins
 from sparsefit.study import manifest
-from sparsefit.study.export import CASES, read_cases
 from sparsefit.study.runner import locked
-from sparsefit.study.store import STORE, Store
+from sparsefit.study.store import CASES, STORE, Store, read_cases
 from tests.study import attacks, hostile
 from tests.study.small_study import small_study
 
