@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from sparsefit.cli import terminal
 from sparsefit.codec import finite_or_none
 from sparsefit.errors import one_line
-from sparsefit.estimator.estimate import FINEST, PARAMETERS, FlightEstimate, LogEstimate, decimals
+from sparsefit.estimator.estimate import FINEST, PARAMETERS, FlightEstimate, decimals
 from sparsefit.flight.record import FRAMES
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class ReadLog:
         values: dict[str, Any] = finite_or_none(vars(self.quality))
         return values | {"read_as": list(self.notes)}
 
-    def rows(self, own: LogEstimate, unknown: Sequence[str]) -> Rows:
+    def rows(self, own: FlightEstimate, unknown: Sequence[str]) -> Rows:
         """Rows of what was flown, logged and mended; own: what is estimated of this flight."""
         flight, frame = self.flight, self.quality.frame
         words = f"{flight.samples} samples over {flight.duration:g} s"
@@ -84,7 +84,7 @@ def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -
     for number, (log, own) in enumerate(zip(logs, estimate.flights or [estimate], strict=True), 1):
         (label, first), *others = log.rows(own, unknown)
         pairs += [(f"flight {number}" if estimate.flights else label, first), *others]
-        if isinstance(own, FlightEstimate):
+        if estimate.flights:
             counts = f"so that a sample counts for {own.noise**-2:.2g}"
             pairs += [("noise", f"{own.noise:.3g} of the mean, {counts}"), *_vehicle(own)]
         pairs.append(("", ""))
@@ -97,7 +97,7 @@ def _quantity(label: str, record: Any, name: str, unit: str, spreads: Uncertaint
     yield label, measured(getattr(record, name), unit, spread, ends)
 
 
-def _vehicle(owner: LogEstimate) -> Rows:
+def _vehicle(owner: FlightEstimate) -> Rows:
     for label, name, unit in OF_VEHICLE:
         value = getattr(owner, name)
         if value is not None and value == value:

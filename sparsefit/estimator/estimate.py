@@ -11,10 +11,10 @@ from sparsefit.arrays import Brief
 from sparsefit.codec import finite_or_none
 from sparsefit.flight.waves import FlowField
 from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
-from sparsefit.likelihood.vehicle_estimate import VehicleEstimate
 from sparsefit.regression.certificate import Certificate
 from sparsefit.rows import Repairs
 
+Pair = tuple[float, float]
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing
 PARAMETERS = (
     ("U0", "mean_velocity", "m/s"),
@@ -58,132 +58,84 @@ class Verdict:
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """One cellular flow, of several perhaps.
+    """One cellular flow, of several perhaps."""
 
-    Args:
-        mean_velocity: U0 [m/s].
-        length_scale: L [m].
-        timescale: L/U0 [s], NaN where U0 is 0.
-        grid_length_scale: the candidate behind it [m].
-        uncertainty: of these three, off the grid with the ``rms`` mean velocity, all flows measured
-            together: within the lobe that was chosen, whatever its rivals.
-        heading: by which the cells are turned counter-clockwise [rad]; NaN where it is not told.
-    """
-
-    mean_velocity: float
-    length_scale: float
-    timescale: float
-    grid_length_scale: float = math.nan
+    mean_velocity: float  #: U0 [m/s]
+    length_scale: float  #: L [m]
+    timescale: float  #: L/U0 [s], NaN where U0 is 0
+    grid_length_scale: float = math.nan  #: the candidate behind it [m]
+    #: of these three, off the grid with the ``rms`` mean velocity, all flows measured together:
+    #: within the lobe that was chosen, whatever its rivals
     uncertainty: Uncertainty | None = None
-    heading: float = math.nan
+    heading: float = math.nan  #: of the cells, counter-clockwise [rad]; NaN where it is not told
 
 
 @dataclass(frozen=True)
 class RungEstimate:
-    """One shape of flow that was tried.
+    """One shape of flow that was tried."""
 
-    Args:
-        shape: its name.
-        drifting: whether it moves.
-        bic: n ln RSS + p ln n, less that of the best.
-        residual: the share of the flow velocity's squares that it does not explain.
-    """
-
-    shape: str
-    drifting: bool
-    bic: float
-    residual: float
+    shape: str  #: its name
+    drifting: bool  #: whether it moves
+    bic: float  #: n ln RSS + p ln n, less that of the best
+    residual: float  #: the share of the flow velocity's squares that it does not explain
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeEstimate:
-    """The flow as a whole, in the coordinates and the time of the flight.
+    """The flow as a whole, in the coordinates and the time of the flight."""
 
-    Args:
-        shape: ``axis``, ``square``, ``rectangle``, ``pair`` or ``several``; empty on the grid.
-        length_scales: (L_x, L_y) [m] in the cells' own axes.
-        drift: the velocity of the pattern [m/s], (x, y).
-        shape_uncertainty: of the length scales, the heading and the drift.
-        rungs: every shape that was tried.
-        scales: all cellular flows, fastest first, where several are sought or found.
-        flow: to be evaluated anywhere.
-        rival_length_scale: of the best other lobe [m].
-    """
-
-    shape: str = ""
-    length_scales: tuple[float, float] | None = None
-    drift: tuple[float, float] | None = None
-    shape_uncertainty: Uncertainty | None = None
-    rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)
-    scales: tuple[ScaleEstimate, ...] = ()
-    flow: FlowField | None = field(default=None, repr=False)
-    rival_length_scale: float = math.nan
+    shape: str = ""  #: ``axis``, ``square``, ``rectangle``, ``pair``, ``several``; "" on the grid
+    length_scales: Pair | None = None  #: (L_x, L_y) [m] in the cells' own axes
+    drift: Pair | None = None  #: the velocity of the pattern [m/s], (x, y)
+    shape_uncertainty: Uncertainty | None = None  #: of length scales, heading and drift
+    rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)  #: every shape that was tried
+    scales: tuple[ScaleEstimate, ...] = ()  #: all flows, fastest first, where several are sought
+    flow: FlowField | None = field(default=None, repr=False)  #: to be evaluated anywhere
+    rival_length_scale: float = math.nan  #: of the best other lobe [m]
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogEstimate(VehicleEstimate):
-    """The part of an estimate that is of one flight: its vehicle and its log.
+class FlightEstimate:
+    """The part of an estimate that is of one flight; NaN and None of a vehicle that is known."""
 
-    Args:
-        samples: that were fitted.
-        goodness: how well the flow explains the log.
-        repairs: what was mended in it before.
-        agreement: of its logged position and velocity.
-    """
-
-    samples: int = 0
-    goodness: Goodness | None = None
-    repairs: Repairs = Repairs()
-    agreement: Agreement | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class FlightEstimate(LogEstimate):
-    """The part of an estimate that is of one flight of several through one flow.
-
-    Args:
-        noise: the level of its noise, over that of all flights together: its rows count for one
-            over the square of it.
-    """
-
+    response_time: float = math.nan  #: tau [s]
+    drag: float = math.nan  #: the coefficient of quadratic drag [1/m]
+    thrust_scale: float = math.nan  #: of the measured acceleration
+    thrust_acceleration: Pair | None = None  #: [m/s^2], (x, y)
+    wind: Pair | None = None  #: [m/s], (x, y)
+    vehicle_uncertainty: Uncertainty | None = None  #: of those that were estimated
+    samples: int = 0  #: that were fitted
+    goodness: Goodness | None = None  #: how well the flow explains the log
+    repairs: Repairs = Repairs()  #: of the log, made before
+    agreement: Agreement | None = None  #: of its logged position and velocity
+    #: of one of several flights the level of its noise over that of all: its rows count for one
+    #: over the square of it
     noise: float = math.nan
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Estimate(Brief, ScaleEstimate, ShapeEstimate, LogEstimate):
+class Estimate(Brief, ScaleEstimate, ShapeEstimate, FlightEstimate):
     """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
 
     Of several flows the parameters are those of the fastest; of several flights what is of each
     stands in `flights`.
-
-    Args:
-        status: ``ok``, ``misfit`` (there is a flow, but not the one assumed), ``inaccurate``,
-            ``unidentifiable`` or ``error``.
-        reason: of the status, in words; empty where it is ``ok``.
-        doubt: the kind of doubt behind the reason of a ``misfit`` or an ``unidentifiable`` flow.
-        backend: the name of the back-end, and its settings.
-        settings: of the back-end.
-        certificate: of its fit.
-        weights_by_scale: of each candidate length scale [m].
-        seconds: of preparation, fit and readout together.
-        columns: of the regression problem.
-        flights: of several flights through one flow, each.
-        constancy: how fast U0 changes while it is flown through.
-        freed: the names of what was freed beside the flow.
     """
 
+    #: ``ok``, ``misfit`` (there is a flow, but not the one assumed), ``inaccurate``,
+    #: ``unidentifiable`` or ``error``
     status: str
-    reason: str = ""
-    backend: str = ""
-    settings: dict[str, Any] = field(default_factory=dict)
-    certificate: Certificate | None = None
+    reason: str = ""  #: of the status, in words; empty where it is ``ok``
+    backend: str = ""  #: its name
+    settings: dict[str, Any] = field(default_factory=dict)  #: of the back-end
+    certificate: Certificate | None = None  #: of its fit
+    #: of each candidate length scale [m]
     weights_by_scale: dict[float, float] = field(default_factory=dict, repr=False)
-    seconds: float = math.nan
-    columns: int = 0
-    doubt: Doubt | None = None
-    flights: tuple[FlightEstimate, ...] = ()
-    constancy: Constancy | None = None
-    freed: tuple[str, ...] = ()
+    seconds: float = math.nan  #: of preparation, fit and readout together
+    columns: int = 0  #: of the regression problem
+    doubt: Doubt | None = None  #: the kind of doubt behind the reason
+    flights: tuple[FlightEstimate, ...] = ()  #: of several flights through one flow, each
+    constancy: Constancy | None = None  #: how fast U0 changes while it is flown through
+    freed: tuple[str, ...] = ()  #: the names of what was freed beside the flow
 
     def __str__(self) -> str:
         """The status and its reason, or the parameters with their standard errors: one line."""

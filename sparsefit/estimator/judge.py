@@ -192,10 +192,12 @@ def doubts_of_flow(
             words = f"the flight does not tell {QUANTITIES[worst]} at all; fly across more cells"
             yield unidentifiable(Doubt.IMPRECISE, words)
         if place == 0 and widths[worst] > precision:
+            several = f"{', '.join(result.freed)} may stand for another cause: name what to free, "
             yield unidentifiable(
                 Doubt.IMPRECISE,
-                f"{QUANTITIES[worst]} is known only to +-{100 * widths[worst]:.0f} %; fly longer, "
-                "across more cells, or ask for less (readout precision)",
+                f"{QUANTITIES[worst]} is known only to +-{100 * widths[worst]:.0f} %; "
+                f"{several if free == 'auto' and len(result.freed) > 1 else ''}"
+                "fly longer, across more cells, or ask for less (readout precision)",
             )
     if extent < period:
         yield unidentifiable(

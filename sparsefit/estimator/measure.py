@@ -27,6 +27,7 @@ from sparsefit.estimator.estimate import (
 )
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight.flow import SuperposedFlow
+from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
 from sparsefit.likelihood.diagnosis import (
@@ -41,7 +42,6 @@ from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern
 from sparsefit.likelihood.posterior import Posterior
-from sparsefit.likelihood.vehicle_estimate import vehicle_of
 from sparsefit.model import Proposal
 from sparsefit.model.shapes import flows_of, read_cells
 
@@ -55,34 +55,23 @@ SLIGHT = 1e-3  # of U0 or L: a cause that moves neither by more only widens thei
 FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
 EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
 HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
+OF_VEHICLE = ("response_time", "drag", "thrust_scale", "thrust_acceleration", "wind")
 MOSTLY = 0.5  # of the variance of the air that waves explain, whatever a vehicle hides of them
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A flow at the maximum of its likelihood.
+    """A flow at the maximum of its likelihood."""
 
-    Args:
-        proposal: where it started.
-        proposals: of the search, by the BIC of its rows.
-        diagnosis: causes and disturbances beside it.
-        posterior: that is answered with.
-        suspects: the causes that are not answered with: a misfit.
-        freed: the names of what was freed.
-        goodness: how well it explains the flights.
-        rival: a proposal that explains them nearly as well, and says another U0 or L.
-        detected: whether it explains more than chance and turbulence do.
-    """
-
-    proposal: Proposal
-    proposals: tuple[Proposal, ...]
-    diagnosis: Diagnosis
-    posterior: Posterior
-    suspects: tuple[Suspect, ...]
-    freed: tuple[str, ...]
-    goodness: Goodness
-    rival: Proposal | None
-    detected: bool
+    proposal: Proposal  # where it started
+    proposals: tuple[Proposal, ...]  # of the search, by the BIC of its rows
+    diagnosis: Diagnosis  # causes and disturbances beside it
+    posterior: Posterior  # that is answered with
+    suspects: tuple[Suspect, ...]  # the causes that are not answered with: a misfit
+    freed: tuple[str, ...]  # the names of what was freed
+    goodness: Goodness  # how well it explains the flights
+    rival: Proposal | None  # that explains them nearly as well, and says another U0 or L
+    detected: bool  # whether it explains more than chance and turbulence do
 
     @cached_property
     def waves(self) -> Array:
@@ -163,12 +152,7 @@ class Measured:
                 sure, known["drift"] = cells, (x_error, y_error)
             parts |= cells | ({} if pattern.drifting else {"drift": (0.0, 0.0)})
             parts["shape_uncertainty"] = Uncertainty.of(sure, known)
-        own = [
-            {"agreement": Agreement.of(model)} | vehicle_of(posterior, vehicle, place)
-            for place, (model, vehicle) in enumerate(
-                zip(posterior.models, prepared.vehicles, strict=True)
-            )
-        ]
+        own = [flight_fields(posterior, *each) for each in enumerate(prepared.vehicles)]
         if len(own) == 1:
             parts |= own[0]
             return parts
@@ -182,6 +166,25 @@ class Measured:
             for rows, noise, goodness, each in flights
         )
         return parts
+
+
+def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) -> dict[str, Any]:
+    """The fields of `FlightEstimate` that a posterior tells of one of its flights, a vehicle's."""
+    leg, suffix = posterior.legs[place], f"@{place + 1}" if place else ""
+    steady = not np.ptp(leg.nodes.push, axis=0).any()  # the logged thrust is in no element
+    base = {"thrust_acceleration": believed.thrust_acceleration} if steady else {}
+    shares = {"drag": 1.0 / leg.model.values["response_time"]}
+    values, errors, absent = dict[str, Any](), dict[str, Any](), dict[str, None]()
+    for name in OF_VEHICLE:
+        own, share = FREEDOMS[name].elements, shares.get(name, 1.0)
+        absent |= {name: None, f"{name}_interval{'s' * (len(own) > 1)}": None}
+        if own[0] in leg.model.names:
+            pairs = zip(base.get(name, (0.0, 0.0)), own, strict=False)
+            value = tuple(b + share * leg.model.values[element] for b, element in pairs)
+            error = tuple(share * posterior.error(element + suffix) for element in own)
+            values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
+    sure = Uncertainty(absent | Uncertainty.of(values, errors)) if values else None
+    return values | {"agreement": Agreement.of(leg.model), "vehicle_uncertainty": sure}
 
 
 def measure_flow(

@@ -29,23 +29,14 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prepared(Brief):
-    """One flight, or several through one flow, with its rows and its regression problem.
-
-    Args:
-        flights: the logs.
-        parts: the samples and derivatives of each flight.
-        weights: of the rows of each flight.
-        library: that built the problem.
-        problem: the regression problem of the flights.
-        seconds: that the work took.
-    """
+    """One flight, or several through one flow, with its rows and its regression problem."""
 
     flights: tuple[Flight, ...]
-    parts: tuple[Samples, ...]
-    weights: tuple[float, ...]
-    library: Library
+    parts: tuple[Samples, ...]  # the samples and derivatives of each flight
+    weights: tuple[float, ...]  # of the rows of each flight
+    library: Library  # that built the problem
     problem: RegressionProblem
-    seconds: float
+    seconds: float  # that the work took
     _answers: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @property

@@ -10,23 +10,14 @@ from sparsefit.likelihood.reference import ELEMENTS
 
 @dataclass(frozen=True)
 class Cause:
-    """A departure from the model that is believed.
+    """A departure from the model that is believed."""
 
-    Args:
-        name: in reports.
-        elements: of the model that are freed, or that wander about their values.
-        words: of its size, a template for `Suspect.words`; empty: it is freed only if asked for.
-        wanders: whether the elements are states, and not constants.
-        answered: whether a flow is answered with it: it is no misfit.
-        of_flow: whether the flow is another, and not the vehicle or an instrument.
-    """
-
-    name: str
-    elements: tuple[str, ...]
-    words: str = ""
-    wanders: bool = False
-    answered: bool = False
-    of_flow: bool = False
+    name: str  # in reports
+    elements: tuple[str, ...]  # of the model that are freed, or that wander about their values
+    words: str = ""  # a template for `Suspect.words`; empty: it is freed only if asked for
+    wanders: bool = False  # whether the elements are states, and not constants
+    answered: bool = False  # whether a flow is answered with it: it is no misfit
+    of_flow: bool = False  # whether the flow is another, and not the vehicle or an instrument
 
 
 WIND, BIAS, GAIN = ("wind_x", "wind_y"), ("position_bias_x", "position_bias_y"), ("gain",)
@@ -86,25 +77,15 @@ ALIKE = (  # of each set one alone may be free: their columns are the same, or n
 
 @dataclass(frozen=True)
 class Suspect:
-    """A cause of a misfit, and how large it is.
+    """A cause of a misfit, and how large it is."""
 
-    Args:
-        cause: its name.
-        size: the change of each element that is freed, in its own unit; of what wanders its level.
-        p_value: of a gain in likelihood as large by chance, over all causes that were tested.
-        share: 2 ln(likelihood ratio) of the cause against none.
-        free: the name under which it is freed.
-        flight: of several flights the number of the one that says so, from 1; else 0.
-        also: the name of what must be freed with it: the law of both is another.
-    """
-
-    cause: str
-    size: tuple[float, ...]
-    p_value: float
-    share: float
-    free: str = ""
-    flight: int = 0
-    also: str = ""
+    cause: str  #: its name
+    size: tuple[float, ...]  #: the change of each freed element, in its own unit, or a level
+    p_value: float  #: of a gain in likelihood as large by chance, over all causes tested
+    share: float  #: 2 ln(likelihood ratio) of the cause against none
+    free: str = ""  #: the name under which it is freed
+    flight: int = 0  #: of several flights the number of the one that says so, from 1; else 0
+    also: str = ""  #: the name of what must be freed with it: the law of both is another
 
     @property
     def remedy(self) -> str:

@@ -55,21 +55,13 @@ Refit = Callable[[Sequence[Model], Posterior], Posterior | None]
 
 @dataclass(frozen=True)
 class Trial:
-    """One departure from a model that is fitted for good.
+    """One departure from a model that is fitted for good."""
 
-    Args:
-        models: of each log, with the departure.
-        freedom: the parameters that it has more.
-        cause: None of a shape that may be chosen.
-        free: the name of what is freed.
-        flight: of several, the one that it is about; else 0.
-    """
-
-    models: tuple[Model, ...]
-    freedom: int
-    cause: Cause | None = None
-    free: str = ""
-    flight: int = 0
+    models: tuple[Model, ...]  # of each log, with the departure
+    freedom: int  # the parameters that it has more
+    cause: Cause | None = None  # None of a shape that may be chosen
+    free: str = ""  # the name of what is freed
+    flight: int = 0  # of several, the one that it is about; else 0
 
     @property
     def suspicious(self) -> bool:
@@ -87,23 +79,14 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The causes that explain a flight beside the flow that was proposed.
+    """The causes that explain a flight beside the flow that was proposed."""
 
-    Args:
-        posterior: with all causes freed, and the disturbances that are there.
-        believed: with the disturbances and the shape alone.
-        suspects: the causes, the most significant one first.
-        growth: of U0 in time [1/s], at the posterior, and its standard error.
-        turbulence_gain: 2 ln(likelihood ratio) of the disturbances that walk; 0 without any.
-        ambiguity: by which shares other causes, nearly as likely or hinted at, say other U0 and L.
-    """
-
-    posterior: Posterior
-    believed: Posterior
-    suspects: tuple[Suspect, ...] = ()
-    growth: tuple[float, float] = (math.nan, math.nan)
-    turbulence_gain: float = 0.0
-    ambiguity: tuple[float, float] = (0.0, 0.0)
+    posterior: Posterior  # with all causes freed, and the disturbances that are there
+    believed: Posterior  # with the disturbances and the shape alone
+    suspects: tuple[Suspect, ...] = ()  # the causes, the most significant one first
+    growth: tuple[float, float] = (math.nan, math.nan)  # of U0 [1/s], and its standard error
+    turbulence_gain: float = 0.0  # 2 ln(likelihood ratio) of the disturbances that walk
+    ambiguity: tuple[float, float] = (0.0, 0.0)  # shares by which likely causes say other U0 and L
 
 
 def diagnose(
@@ -126,6 +109,7 @@ def diagnose(
     believed, suspects, closed, wandering = posterior, list[Suspect](), set(freed), 0.0
     first, start, tests, gains = posterior, None, 1, dict[tuple[str, int], Gain]()
     rivals: list[tuple[Posterior, Posterior]] = []
+    turns: list[tuple[Posterior, Posterior]] = []
 
     def refit(models: Sequence[Model], near: Posterior, passes: int = PASSES) -> Posterior | None:
         there = fitted(logs, models, near, passes)
@@ -187,6 +171,7 @@ def diagnose(
         if best.cause is not None and best.cause.wanders:
             there = _tuned(refit, there, best.free)
             wandering += gain_of_it
+        turns += [(there, posterior)] if suspects else []
         if best.suspicious:
             assert best.cause is not None
             size = best.size(posterior, there)
@@ -211,7 +196,7 @@ def diagnose(
         grown: dict[str, tuple[str, ...]] = {"growth": ("growth",)}
         gains = gains if posterior is start else gains_of(posterior, grown)
         growth = float(gains["growth", 0].step[0]), float(gains["growth", 0].error[0])
-    shares = _ambiguity(posterior, believed, rivals) if suspects else (0.0, 0.0)
+    shares = _ambiguity(posterior, believed, rivals, turns) if suspects else (0.0, 0.0)
     walks = [own.name for own in posterior.model.disturbance.processes]
     if posterior is start and not walks:  # gains of the last round, in which nothing was found
         hints = [
@@ -234,13 +219,18 @@ def _releveled(start: Posterior, gain: float) -> float:
 
 
 def _ambiguity(
-    posterior: Posterior, believed: Posterior, rivals: Sequence[tuple[Posterior, Posterior]]
+    posterior: Posterior,
+    believed: Posterior,
+    rivals: Sequence[tuple[Posterior, Posterior]],
+    turns: Sequence[tuple[Posterior, Posterior]],
 ) -> tuple[float, float]:
     """The shares by which U0 and L differ between causes that are not told apart.
 
     Process noise that remains beside a cause is a misfit that no cause explains: likelihoods that
-    differ by less than it gains say nothing of which cause is right. The model has a lag l to first
-    order: the second is l (1/(tau - l) + |k.v|/2) of it, and may move a flow by as much.
+    differ by less than it gains say nothing of which cause is right. Where a cause is not all that
+    departs from the model, both may stand for a third: a flow is as sure as before and after agree.
+    The model has a lag l to first order: the second is l (1/(tau - l) + |k.v|/2) of it, and may
+    move a flow by as much.
     """
     unexplained, alike = max(posterior.evidence, CHANCE), [(*pair, 1.0) for pair in rivals]
     alike = [own for own in alike if own[1].log_likelihood > own[0].log_likelihood - unexplained]
@@ -248,7 +238,8 @@ def _ambiguity(
     rate = 1.0 / abs(posterior.value("response_time") - lag)
     second = lag * (rate + 0.5 * turning * posterior.legs[0].log.speed)
     shares = [(0.0, 0.0)]
-    for best, other, share in (*alike, (posterior, believed, second)):
+    turned = ((*pair, 1.0) for pair in turns)
+    for best, other, share in (*alike, *turned, (posterior, believed, second)):
         here, there = best.model.pattern, other.model.pattern
         speeds = there.mean_velocity / here.mean_velocity
         lengths = there.length_scale / here.length_scale

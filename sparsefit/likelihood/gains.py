@@ -14,19 +14,12 @@ SEEN = 1e-9  # the least eigenvalue of the scaled information of a direction tha
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """The gain of freeing a group of elements, to second order.
+    """The gain of freeing a group of g elements, to second order, all that is free moving along."""
 
-    Args:
-        gain: 2 ln(likelihood ratio).
-        step: of the elements (g,), everything else that is free moving along.
-        error: their standard errors (g,).
-        moves: the shares by which U0 and L move with the step.
-    """
-
-    gain: float
-    step: Array
-    error: Array
-    moves: tuple[float, float] = (0.0, 0.0)
+    gain: float  # 2 ln(likelihood ratio)
+    step: Array  # of the elements (g,)
+    error: Array  # their standard errors (g,)
+    moves: tuple[float, float] = (0.0, 0.0)  # the shares by which U0 and L move with the step
 
 
 def gains_of(

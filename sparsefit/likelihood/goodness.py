@@ -67,15 +67,10 @@ def interval(value: float, error: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Agreement:
-    """The distance by which the logged position wanders from the integral of the velocity.
+    """The distance by which the logged position wanders from the integral of the velocity."""
 
-    Args:
-        wander: rms of a correlated error of the position [m], 0 where there is none.
-        wander_time: its correlation time [s].
-    """
-
-    wander: float = 0.0
-    wander_time: float = math.nan
+    wander: float = 0.0  #: rms of a correlated error of the position [m], 0 where there is none
+    wander_time: float = math.nan  #: its correlation time [s]
 
     @classmethod
     def of(cls, model: Model) -> Agreement | None:
@@ -86,27 +81,21 @@ class Agreement:
 
 @dataclass(frozen=True)
 class Goodness:
-    """The share that a model explains of what a flight says of the flow; NaN where nothing is told.
+    """The share that a model explains of what a flight says of the flow; NaN where it is not told.
 
-    Args:
-        r_squared: the share of the variance of the air's velocity along the track, within the
-            band of the flow, that the flow explains; process noise and turbulence are the rest.
-        whiteness: the probability that white innovations show as much structure in time: below
-            0.01 there is more than noise.
-        likelihood_ratio: 2 ln(likelihood ratio) of turbulence against none.
-        turbulence: along the path, rms of a component about its mean [m/s]; 0 where there is none.
-        turbulence_share: the same over the mean velocity U0 of the fastest flow.
-        suspect: what explains the flight beside its flow, where something does.
-        flights: the same of each of several flights.
+    `r_squared` is the share of the variance of the air's velocity along the track, within the band
+    of the flow, that the flow explains; process noise and turbulence are the rest.
     """
 
     r_squared: float
+    #: the probability that white innovations show as much structure in time: below 0.01 there is
+    #: more than noise
     whiteness: float = math.nan
-    likelihood_ratio: float = math.nan
-    turbulence: float = math.nan
-    turbulence_share: float = math.nan
-    suspect: Suspect | None = None
-    flights: tuple[Goodness, ...] = ()
+    likelihood_ratio: float = math.nan  #: 2 ln(likelihood ratio) of turbulence against none
+    turbulence: float = math.nan  #: along the path, rms of a component about its mean [m/s]
+    turbulence_share: float = math.nan  #: of the mean velocity U0 of the fastest flow
+    suspect: Suspect | None = None  #: that explains the flight beside its flow, if something does
+    flights: tuple[Goodness, ...] = ()  #: of each of several
 
     @classmethod
     def of(cls, posterior: Posterior, diagnosis: Diagnosis) -> Goodness:
@@ -148,19 +137,12 @@ def _disturbances(leg: Leg) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Constancy:
-    """The rate at which the mean velocity changes, to first order; several flows share it.
+    """The rate at which the mean velocity changes, to first order; several flows share it."""
 
-    Args:
-        rate: dU0/dt [m/s^2], 0 of a flow that is constant.
-        standard_error: of it [m/s^2].
-        interval: that holds it in 95 % of flights [m/s^2].
-        p_value: how likely a constant flow shows a rate as large, of either sign.
-    """
-
-    rate: float
-    standard_error: float
-    interval: tuple[float, float]
-    p_value: float
+    rate: float  #: dU0/dt [m/s^2], 0 of a flow that is constant
+    standard_error: float  #: of it [m/s^2]
+    interval: tuple[float, float]  #: that holds it in 95 % of flights [m/s^2]
+    p_value: float  #: how likely a constant flow shows a rate as large, of either sign
 
     @classmethod
     def of(cls, growth: float, error: float, mean_velocity: float) -> Constancy | None:

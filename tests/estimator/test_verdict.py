@@ -208,6 +208,19 @@ def test_causes_beside_which_something_wanders_are_not_believed():
     assert found.status != "ok" or found.mean_velocity == pytest.approx(15.43, rel=0.02)
 
 
+def test_two_things_that_are_wrong_are_answered_where_they_are_named():
+    """Here positions that are too small explain as much as velocities that are too large."""
+    whole = flown(FLOW, rate=50.0, duration=20.0, seed=5, noise=(0.2, 0.05))
+    vehicle = sf.PointMassVehicle(0.9 * VEHICLE.response_time, VEHICLE.thrust_acceleration)
+    flight = replace(whole, velocity=1.04 * whole.velocity, vehicle=vehicle)
+    found = sf.Estimator(free="auto").estimate(flight)
+    assert found.doubt == Doubt.IMPRECISE
+    assert f"{', '.join(found.freed)} may stand for another cause: name what" in found.reason
+    named = sf.Estimator(free=("response_time", "velocity_scale")).estimate(flight)
+    assert named.status == "ok"
+    assert named.mean_velocity == pytest.approx(15.43, abs=3 * named.uncertainty.mean_velocity)
+
+
 def test_how_precise_an_answer_must_be_is_a_setting():
     flight = flown(FLOW, seed=7, noise=(0.3, 0.05))
     asked = {

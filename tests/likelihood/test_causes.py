@@ -210,9 +210,11 @@ def test_what_is_ambiguous_is_worked_by_hand():
 
     share = 0.02 * (10.0 + np.pi)
     own = flow(10.0, 4.0)
-    assert room._ambiguity(own, flow(9.0, 4.4), ()) == pytest.approx((0.1 * share, 0.1 * share))
+    assert room._ambiguity(own, flow(9.0, 4.4), (), ()) == pytest.approx((0.1 * share, 0.1 * share))
     rivals = [(own, flow(10.5, 3.8, -4.0)), (own, flow(20.0, 8.0, -6.0))]
-    assert room._ambiguity(own, flow(9.0, 4.2), rivals) == pytest.approx((0.05, 0.05))
+    assert room._ambiguity(own, flow(9.0, 4.2), rivals, ()) == pytest.approx((0.05, 0.05))
+    turns = [(own, flow(9.2, 4.8, -99.0))]  # what was found beside a cause, however likely
+    assert room._ambiguity(own, flow(9.0, 4.2), rivals, turns) == pytest.approx((0.08, 0.2))
 
 
 def test_disturbances_are_those_within_the_band_of_the_flow():
@@ -232,3 +234,16 @@ def test_constancy_is_the_rate_of_growth_in_its_unit():
     assert constancy.interval == pytest.approx((0.1 - 0.098, 0.1 + 0.098), abs=1e-3)
     assert constancy.p_value == pytest.approx(0.0455, abs=1e-4)  # of two standard errors
     assert Constancy.of(0.0, 0.0, 10.0) is None
+
+
+def test_a_flow_is_as_sure_as_a_second_cause_leaves_it():
+    logs, posterior = posterior_of(scaled(flight_of(tau=1.1 * TAU), velocity=1.04))
+    diagnosis = diagnose(logs, posterior)
+    assert len(diagnosis.suspects) == 2
+    shifts = []
+    for suspect in diagnosis.suspects:
+        alone = fitted(logs, [posterior.model.free(*FREEDOMS[suspect.free].elements)], posterior)
+        speeds = [own.model.pattern.mean_velocity for own in (alone, diagnosis.posterior)]
+        shifts.append(abs(speeds[0] / speeds[1] - 1.0))
+    assert diagnosis.ambiguity[0] == pytest.approx(max(shifts), rel=0.02)
+    assert max(shifts) > 0.01
