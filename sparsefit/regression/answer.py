@@ -11,7 +11,6 @@ from sparsefit.arrays import Array, Brief, IntArray
 from sparsefit.errors import InputError, is_real
 from sparsefit.regression.backend import Backend, PenalisedBackend
 from sparsefit.regression.certificate import Certificate
-from sparsefit.regression.penalty_choice import PenaltyChoice
 from sparsefit.regression.problem import RegressionProblem
 
 if TYPE_CHECKING:
@@ -25,8 +24,8 @@ class Fit(Brief):
     weights (k, n) in the original units of theta, NaN throughout where there is no solution;
     status ``ok``, ``inaccurate`` (certificate, with what rounding can hide of it, above tolerance),
     ``unidentifiable`` or ``error``, with its reason; seconds of the solve; ``repaired``: the
-    certificate rejected the fast path's answer and this one is the referee's. ``penalty_choice``:
-    how the back-end's alpha_fraction, here the chosen number, was found where "auto" was asked for.
+    certificate rejected the fast path's answer and this one is the referee's. ``criterion`` (30,):
+    by what the back-end's alpha_fraction was chosen, from 1 to 1e-3, where "auto" was asked for.
     """
 
     weights: Array
@@ -38,7 +37,7 @@ class Fit(Brief):
     solver_status: str = ""
     iterations: int | None = None
     repaired: bool = False
-    penalty_choice: PenaltyChoice | None = field(default=None, repr=False, kw_only=True)
+    criterion: Array | None = field(default=None, repr=False, kw_only=True)
     problem: RegressionProblem = field(repr=False, kw_only=True)
 
     @property

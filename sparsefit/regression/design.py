@@ -138,8 +138,7 @@ class Design:
         """R (m, n) without its part along the direction, if there is one."""
         if self.direction is None:
             return rows
-        out: Array = rows - np.multiply.outer(self.direction, self.direction @ rows)
-        return out
+        return rows - np.multiply.outer(self.direction, self.direction @ rows)
 
     @cached_property
     def squares(self) -> Array:

@@ -36,17 +36,14 @@ TOLERANCE = 1e-8
 def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLERANCE) -> Fit:
     """Solve one problem and certify the answer; `sparsefit.fit` says of what and how."""
     _check(problem, backend, tolerance)
-    # To recognise a protocol takes longer than many a solve: the most common is asked for first.
-    along = isinstance(backend, PathBackend)
     if isinstance(backend, PathBackend) and backend.alpha_fraction == "auto":
         start = perf_counter()
         whole = _along(problem, backend, np.array(FRACTIONS), tolerance)
-        choice = choose_penalty(problem, backend, whole.weights)
-        seconds, chosen = perf_counter() - start, whole.fits[choice.index]
-        return dataclasses.replace(chosen, seconds=seconds, penalty_choice=choice)
-    convex = backend.certificate_kind == "duality_gap"
+        index, criterion = choose_penalty(problem, backend, whole.weights)
+        seconds = perf_counter() - start
+        return dataclasses.replace(whole.fits[index], seconds=seconds, criterion=criterion)
     wanted = np.empty(0)
-    if (along or convex) and isinstance(backend, PenalisedBackend):
+    if isinstance(backend, PenalisedBackend):
         wanted = np.array([numeric_fraction(backend.name, backend.alpha_fraction)])
     return _along(problem, backend, wanted, tolerance).fits[0]
 
@@ -91,23 +88,19 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
         raise InputError(f"back-end {backend.name!r} returned {words}")
     solutions = [_received(solution, backend, problem) for solution in raw]
     problem.refuse_changes()
-    unit, certificates = float("nan"), list[Certificate | None]([None] * len(points))
-    if fractions:
-        penalty = backend.penalty(problem)
-        unit = problem.alpha_max(penalty)
-    if fractions and backend.certificate_kind == "duality_gap":
-        alphas = unit * np.array(fractions)
-        at = [i for i, solution in enumerate(solutions) if _finite(solution)]
+    penalty = backend.penalty(problem) if fractions else None
+    unit = problem.alpha_max(penalty) if penalty else float("nan")
+    at = [i for i, solution in enumerate(solutions) if _finite(solution)]
+    certificates = dict[int, Certificate | None]()
+    if penalty and backend.certificate_kind == "duality_gap":
         weights = np.array([solutions[i].weights for i in at])
-        gaps = duality_gaps(problem.design, problem.target, weights, alphas[at], penalty)
-        for i, certificate in zip(at, gaps, strict=True):
-            certificates[i] = certificate
+        asked = (weights, unit * np.array(fractions)[at], penalty)
+        certificates |= zip(at, duality_gaps(problem.design, problem.target, *asked), strict=True)
     else:
-        pairs = zip(points, solutions, strict=True)
-        certificates = [certificate_of(problem, *pair) for pair in pairs]
+        certificates |= {i: certificate_of(problem, points[i], solutions[i]) for i in at}
     fits = [
-        _judged(problem, *point, tolerance)
-        for point in zip(points, solutions, certificates, seconds, strict=True)
+        _judged(problem, point, solution, certificates.get(i), spent, tolerance)
+        for i, (point, solution, spent) in enumerate(zip(points, solutions, seconds, strict=True))
     ]
     in_turn = tuple(fits[place] for place in np.argsort(order).tolist()) or tuple(fits)
     return Path(wanted, unit, in_turn, perf_counter() - start)

@@ -56,8 +56,7 @@ class GroupNorms(Penalty):
         return total
 
     def block_dual_norms(self, values: Array) -> Array:
-        duals: Array = self.block_norms(values) / self.weights[:, None]
-        return duals
+        return self.block_norms(values) / self.weights[:, None]
 
     def restricted(self, index: IntArray) -> Self:
         used, groups = np.unique(self.groups[index], return_inverse=True)
@@ -66,8 +65,7 @@ class GroupNorms(Penalty):
     def prox(self, values: Array, step: float) -> Array:
         norms, limit = self.block_norms(values), step * self.weights[:, None]
         share = np.where(norms > limit, 1.0 - limit / np.where(norms > limit, norms, 1.0), 0.0)
-        shrunk: Array = values * share[self.groups]
-        return shrunk
+        return values * share[self.groups]
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
         live = (self.block_norms(origin) > step * self.weights[:, None])[self.groups]
@@ -128,8 +126,7 @@ class NestedNorms(Penalty):
         return self.outer.groups
 
     def norm(self, values: Array) -> Array:
-        total: Array = self.outer.norm(values) + self.inner.norm(values)
-        return total
+        return self.outer.norm(values) + self.inner.norm(values)
 
     def block_dual_norms(self, values: Array) -> Array:
         outer, joint = self.outer, self.outer.together
@@ -200,5 +197,4 @@ def block_sums(values: Array, order: IntArray | None, starts: IntArray, joint: b
         values = values[..., order, :]
     if joint:
         values = values.sum(axis=-1, keepdims=True)
-    sums: Array = np.add.reduceat(values, starts, axis=-2)
-    return sums
+    return np.add.reduceat(values, starts, axis=-2)

@@ -56,8 +56,7 @@ class Squares:
 
     def dual(self, s: Array, square: Array, product: Array) -> Array:
         """D by target (p, n) at s."""
-        value: Array = s * product - 0.5 * s**2 * square
-        return value
+        return s * product - 0.5 * s**2 * square
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,7 @@ class RootSquares(Squares):
         return np.where(np.isfinite(least), least, 0.0)  # a target of zero, too
 
     def dual(self, s: Array, square: Array, product: Array) -> Array:
-        value: Array = s * product
-        return value
+        return s * product
 
 
 SQUARES = Squares()

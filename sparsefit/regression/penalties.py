@@ -68,13 +68,11 @@ class Penalty(ABC):
     def value(self, values: Array) -> Array:
         """Omega of values (..., k, n): shape (...)."""
         square = np.square(values).sum(axis=(-2, -1)) if self.ridge else 0.0
-        total: Array = self.norm(values) + 0.5 * self.ridge * square
-        return total
+        return self.norm(values) + 0.5 * self.ridge * square
 
     def block_dual_norms(self, values: Array) -> Array:
         """The dual norm of each block of values (..., k, n): (..., g, n), or (..., g, 1)."""
-        duals: Array = self.dual_norm(values)[..., None, :]
-        return duals
+        return self.dual_norm(values)[..., None, :]
 
     def dual_norm(self, values: Array) -> Array:
         """The dual norm of values (..., k, n), the largest of all blocks: (..., n) or (..., 1).
@@ -116,8 +114,7 @@ class Penalty(ABC):
         peaks = self.dual_norm(values)
         if isinstance(error, float):
             return peaks
-        raised: Array = peaks + error * self.dual_norm(np.ones(values.shape[-2:]))
-        return raised
+        return peaks + error * self.dual_norm(np.ones(values.shape[-2:]))
 
     def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
         """By how much, relative to alpha, each column (k,) at zero wants to be in use; <= 0: not.
@@ -173,8 +170,7 @@ class AbsoluteValues(Penalty):
         return total
 
     def block_dual_norms(self, values: Array) -> Array:
-        duals: Array = np.abs(values) / self.weights[:, None]
-        return duals
+        return abs(values) / self.weights[:, None]
 
     def restricted(self, index: IntArray) -> Self:
         return replace(self, weights=self.weights[index])
@@ -228,8 +224,7 @@ class BoundedValues(AbsoluteValues):
         """(C_jt + error) / omega_j up and down, where each (k,) is allowed; 0 elsewhere."""
         rise = np.where(up[:, None], values + error, 0.0)
         fall = np.where(down[:, None], error - values, 0.0)
-        pull: Array = np.maximum(np.maximum(rise, fall), 0.0) / self.weights[:, None]
-        return pull
+        return np.maximum(np.maximum(rise, fall), 0.0) / self.weights[:, None]
 
     def conjugate(self, values: Array, alpha: Array | float) -> Array:
         limit = alpha * self.weights[:, None]
@@ -297,5 +292,4 @@ class SquaredNorm(Penalty):
 
 def soft(values: Array, limit: Array) -> Array:
     """The values, as much nearer to zero as the limit says."""
-    shrunk: Array = np.sign(values) * np.maximum(np.abs(values) - limit, 0.0)
-    return shrunk
+    return np.sign(values) * np.maximum(abs(values) - limit, 0.0)

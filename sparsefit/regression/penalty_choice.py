@@ -1,18 +1,17 @@
 """How strong the penalty should be, told from the data alone: ``alpha_fraction = "auto"``.
 
-Both rules walk the same 30 fractions, strongest first, and pick one; they keep the criterion that
-they compared. Nothing is drawn at random, the truth is not asked, and units do not matter.
+Both rules walk the same 30 fractions, strongest first, and pick one by a criterion that they
+compare. Nothing is drawn at random, the truth is not asked, and units do not matter.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.regression.backend import PathBackend, Selection
+from sparsefit.regression.backend import PathBackend
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.regression.problem import RegressionProblem
@@ -22,52 +21,39 @@ FOLDS = 5  # of cross-validation: each a fifth of the samples, in one piece
 FLOOR = float(np.finfo(float).eps)  # of a residual relative to the target: a perfect fit
 
 
-@dataclass(frozen=True, eq=False)
-class PenaltyChoice:
-    """The choice of a penalty: ``criterion`` (p,) at FRACTIONS (p,), and the ``index`` taken.
-
-    criterion: the information criterion, or the relative squared error on held-out folds; NaN where
-    there is no solution. ``errors`` (p,): standard errors of the held-out error's excess over the
-    least. ``effective_samples``: what the samples count for in the information criterion, given the
-    autocorrelation of the residuals.
-    """
-
-    selection: Selection
-    criterion: Array
-    index: int
-    errors: Array | None = None
-    effective_samples: float = math.nan
-
-    @property
-    def fraction(self) -> float:
-        """The chosen alpha_fraction."""
-        return FRACTIONS[self.index]
-
-
 def choose_penalty(
     problem: RegressionProblem, backend: PathBackend, weights: Array
-) -> PenaltyChoice:
-    """The choice of ``backend.selection`` among FRACTIONS; the strongest where none is solved.
+) -> tuple[int, Array]:
+    """The index in FRACTIONS by ``backend.selection``, and the criterion (p,) compared there.
 
-    weights (p, k, n): the path on all samples, in original units, NaN where it failed.
-    Raises InputError where cross-validation cannot cut the samples up.
+    weights (p, k, n): the path on all samples, in original units, NaN where it failed, as the
+    criterion is there; the strongest penalty is taken where none is solved. ``bic`` takes the
+    least `information_criterion`; ``cross-validation`` the strongest penalty within one standard
+    error of the least `held_out_errors` (Breiman, Friedman, Olshen and Stone 1984), that of the
+    difference from the best, fold by fold: how much noise a fold holds is the same for every
+    penalty, and would otherwise drown what they differ by. Raises InputError where cross-validation
+    cannot cut the samples up.
     """
-    selection: Selection = getattr(backend, "selection", "cross-validation")
-    if not np.isfinite(weights).all(axis=(1, 2)).any():
-        return PenaltyChoice(selection, np.full(len(weights), np.nan), 0)
-    if selection == "bic":
-        return information_criterion(problem, backend.penalty(problem), weights)
-    return cross_validation(problem, backend, weights)
+    solved = np.isfinite(weights).all(axis=(1, 2))
+    if not solved.any():
+        return 0, np.full(len(weights), np.nan)
+    if getattr(backend, "selection", "") == "bic":
+        criterion = information_criterion(problem, backend.penalty(problem), weights)
+        return int(np.nanargmin(criterion)), criterion
+    errors = np.where(solved, held_out_errors(problem, backend), np.nan)
+    criterion = errors.mean(axis=0)
+    if not np.isfinite(criterion).any():
+        return 0, criterion
+    excess = errors - errors[:, [int(np.nanargmin(criterion))]]
+    within = excess.mean(axis=0) <= excess.std(axis=0, ddof=1) / math.sqrt(FOLDS)
+    return int(np.flatnonzero(within)[0]), criterion
 
 
-def information_criterion(
-    problem: RegressionProblem, penalty: Penalty, weights: Array
-) -> PenaltyChoice:
-    """The least m' sum_t log RSS_t + log(m') df (Schwarz 1978).
+def information_criterion(problem: RegressionProblem, penalty: Penalty, weights: Array) -> Array:
+    """m' sum_t log RSS_t + log(m') df (p,) of a path, weights (p, k, n) (Schwarz 1978).
 
     df as in `degrees_of_freedom`. m' (`effective_samples`) is that of the weakest penalty's
-    residuals, which hold the least of what the others leave unexplained. weights (p, k, n): the
-    path.
+    residuals, which hold the least of what the others leave unexplained.
     """
     points, columns, targets = weights.shape
     design, scaled = problem.design, weights * problem.design.rms[:, None]
@@ -86,7 +72,7 @@ def information_criterion(
         pull = design.correlate(residuals[:, i])
         freedom = degrees_of_freedom(design, scaled[i], pull, float(alphas[i]), penalty)
         criterion[i] = size * np.log(np.maximum(share, FLOOR)).sum() + math.log(size) * freedom
-    return PenaltyChoice("bic", criterion, int(np.nanargmin(criterion)), None, size)
+    return criterion
 
 
 def degrees_of_freedom(
@@ -138,17 +124,11 @@ def effective_samples(residual: Array) -> float:
     return float(np.clip(m / max(time, 1.0), 2.0, m))
 
 
-def cross_validation(
-    problem: RegressionProblem, backend: PathBackend, weights: Array
-) -> PenaltyChoice:
-    """The strongest penalty within one standard error of the least error on held-out folds.
+def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
+    """|Y - theta W|^2 per sample of each fold over that of the target, (folds, p); NaN unsolved.
 
     Folds are contiguous, so that what is held out is not beside what was fitted, in time or in
-    space. Error: |Y - theta W|^2 / |Y|^2 per sample (Breiman, Friedman, Olshen and Stone 1984).
-    The standard error is that of the difference from the best, fold by fold: how much noise a
-    fold holds is the same for every penalty, and would otherwise drown what they differ by.
-    weights (p, k, n): the path on all samples, NaN where it failed. Raises InputError on fewer than
-    2 samples a fold, and on compressed ones.
+    space. Raises InputError on fewer than 2 samples a fold, and on compressed ones.
     """
     if problem.sample_count is not None or problem.samples < 2 * FOLDS:
         least = f"at least {2 * FOLDS} samples, not {problem.samples}"
@@ -156,7 +136,7 @@ def cross_validation(
         raise InputError(f"cross-validation needs {words}; give alpha_fraction as a number")
     folds = np.array_split(np.arange(problem.samples), FOLDS)
     square = float(np.einsum("it,it->", problem.target, problem.target)) / problem.samples or 1.0
-    losses = np.empty((FOLDS, len(FRACTIONS)))
+    errors = np.empty((FOLDS, len(FRACTIONS)))
     missing = np.full((problem.columns, problem.targets), np.nan)
     for i, fold in enumerate(folds):
         part = problem.part(np.concatenate(folds[:i] + folds[i + 1 :]))
@@ -165,12 +145,5 @@ def cross_validation(
         rows, levels = problem.theta[fold], [part.intercept_of(each) for each in path]
         fitted = np.stack([rows @ each for each in path]) + np.stack(levels)[:, None, :]
         misfit = problem.raw_target[fold] - fitted
-        losses[i] = np.einsum("pit,pit->p", misfit, misfit) / (len(fold) * square)
-    losses[:, ~np.isfinite(weights).all(axis=(1, 2))] = np.nan
-    mean = losses.mean(axis=0)
-    if not np.isfinite(mean).any():
-        return PenaltyChoice("cross-validation", mean, 0)
-    excess = losses - losses[:, [int(np.nanargmin(mean))]]
-    errors = excess.std(axis=0, ddof=1) / math.sqrt(FOLDS)
-    chosen = int(np.flatnonzero(excess.mean(axis=0) <= errors)[0])
-    return PenaltyChoice("cross-validation", mean, chosen, errors)
+        errors[i] = np.einsum("pit,pit->p", misfit, misfit) / (len(fold) * square)
+    return errors

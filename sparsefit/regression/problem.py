@@ -234,14 +234,12 @@ class RegressionProblem(Brief):
     def means(self) -> Array:
         """The weighted means (k,) of the columns that an intercept takes off; 0 without one."""
         along = None if self.adjusted is None else self.adjusted.direction
-        means: Array = self.design.means / (1.0 if along is None else np.linalg.norm(along))
-        return means
+        return self.design.means / (1.0 if along is None else np.linalg.norm(along))
 
     def intercept_of(self, weights: Array) -> Array:
         """The intercept (n,) beside weights (k, n), in the units of the target; 0 without one."""
         levels = np.zeros(self.targets) if self.adjusted is None else self.adjusted.levels
-        intercept: Array = levels - self.means @ weights
-        return intercept
+        return levels - self.means @ weights
 
     @property
     def samples(self) -> int:

@@ -99,8 +99,7 @@ class Task:
     def gram(self) -> Array:
         """X'X/m (k, k), dense; some solvers work in place, on a copy of it."""
         gram = self.design.T @ self.design / self.samples
-        dense: Array = gram if isinstance(gram, np.ndarray) else gram.toarray()
-        return dense
+        return gram if isinstance(gram, np.ndarray) else gram.toarray()
 
     @cached_property
     def triangle(self) -> tuple[Array, Array]:
@@ -287,8 +286,7 @@ def by_sortedl1(task: Task, targets: slice, stop: float, iterations: int) -> Arr
         *(design, target), alphas=task.fractions, tol_dev_change=0.0, tol_dev_ratio=1.0,
         max_clusters=columns + 1,
     )  # fmt: skip
-    values: Array = np.asarray(path.coefs).reshape(columns, -1).T
-    return values
+    return np.asarray(path.coefs).reshape(columns, -1).T
 
 
 def by_skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
