@@ -33,6 +33,15 @@ def fly(flow, vehicle=VEHICLE, *, seed=3, duration=10.0, rate=100.0, noise=(0.0,
     )
 
 
+TIME, PLANE = np.array([0.0, 0.1, 0.2, 0.3]), np.arange(8.0).reshape(4, 2)
+FIELDS = {"time": TIME, "position": PLANE, "velocity": PLANE, "vehicle": VEHICLE}
+
+
+def flight_with(**changes):
+    """A flight of four samples, or one with other fields."""
+    return sf.Flight(**(FIELDS | changes))
+
+
 def part(flight, rows):
     """These samples of a flight."""
     names = ("time", "position", "velocity")

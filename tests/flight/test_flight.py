@@ -6,16 +6,11 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.flight import Flight
-from sparsefit.flight.vehicle import PointMassVehicle
-
-VEHICLE = PointMassVehicle(0.5, (5.0, 3.0))
-TIME = np.array([0.0, 0.1, 0.2, 0.3])
-PLANE = np.arange(8.0).reshape(4, 2)
-
-
-def flight_with(**changes):
-    fields = {"time": TIME, "position": PLANE, "velocity": PLANE, "vehicle": VEHICLE}
-    return Flight(**(fields | changes))
+from sparsefit.flight.faults import LogFaults
+from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
+from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
+from sparsefit.flight.waves import Turbulence, WaveFlow
+from tests.problems import FIELDS, PLANE, TIME, VEHICLE, flight_with
 
 
 def test_properties():
@@ -36,6 +31,12 @@ def test_arrays_are_read_only_copies():
         flight.velocity[0, 0] = 1.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         flight.time = TIME
+    waves = np.ones(2)
+    flow = WaveFlow([[1.0, 0.5], [0.2, 1.0]], waves, waves)
+    waves[0] = 5.0
+    assert flow.cosine[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        flow.sine[0] = 2.0
 
 
 def test_some_rows_are_a_flight():
@@ -50,46 +51,100 @@ def test_some_rows_are_a_flight():
 
 
 BACKWARDS = r"row 2 \(t=0\.1\) follows t=0\.2; sort or drop rows, or split the log where another"
+BAD = (0.0, -1.0, math.nan, math.inf, "3", None, True)
+GOOD = {
+    Flight: FIELDS,
+    PointMassVehicle: {"response_time": 0.5},
+    ThrustSeries: {"time": TIME, "acceleration": PLANE},
+    LogFaults: {},
+    ShapedCells: {"mean_velocity": 6.0, "length_scales": (4.0, 4.0)},
+    WaveFlow: {"wavevectors": [[1.0, 0.0]], "cosine": [1.0], "sine": [1.0]},
+    Turbulence: {"intensity": 1.0, "length": 5.0},
+    SuperposedFlow: {"components": (CellularFlow(6.0, 4.0),)},
+    CellularFlow: {"mean_velocity": 1.0, "length_scale": 1.0},
+}
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("kind", "changes", "message"),
     [
-        ({"time": TIME[[0, 2, 1, 3]]}, rf"^time runs backwards: {BACKWARDS} begins$"),
-        ({"time": TIME[[0, 1, 1, 2]]}, r"stands still: row 2 \(t=0\.1\) follows t=0\.1"),
-        ({"time": [0.0, 0.1, 0.2, math.nan]}, "time must be finite: row 3 is nan"),
-        ({"time": [0.0, 0.1, 0.2, math.inf]}, "time must be finite: row 3 is inf"),
-        ({"velocity": [[0, 1], [2, 3], [4, math.nan], [6, 7]]}, "finite: row 2, y is nan"),
-        (
-            {"velocity": [[0, 1], [2, 3], [4, math.inf], [6, 7]]},
-            "velocity must be finite: row 2, y",
-        ),
-        ({"time": TIME[:, None]}, r"time must have shape \(m,\); got \(4, 1\)"),
-        ({"time": 3.0}, r"time must have shape \(m,\); got \(\)"),
-        ({"position": PLANE.T}, r"position must have shape \(m, 2\); got \(2, 4\)"),
-        ({"velocity": np.zeros((4, 3))}, r"velocity must have shape \(m, 2\)"),
-        ({"velocity": np.zeros(4)}, r"velocity must have shape \(m, 2\)"),
-        ({"velocity": np.zeros((5, 2))}, "got 4 of time, 4 of position, 5 of velocity"),
-        ({"time": ["a", "b", "c", "d"]}, "time must be an array of real numbers"),
-        ({"time": [0.0, None, 1.0, 2.0]}, "time must be an array of real numbers"),
-        ({"position": PLANE * 1j}, "position must be an array of real numbers"),
-        ({"position": [[1.0], [1.0, 2.0]]}, "position must be an array of numbers; its rows"),
-        ({"time": np.ma.masked_greater(TIME, 0.2)}, "masked"),
-        ({"time": TIME.astype("M8[s]")}, "time must be an array of real numbers"),
-        ({"thrust": np.zeros((5, 2))}, "5 of thrust"),
-        ({"vehicle": None}, "vehicle must be a PointMassVehicle"),
-        ({"flow": 3.0}, "flow must be one of CellularFlow, "),
-        ({"time": TIME[:2], "position": PLANE[:2], "velocity": PLANE[:2]}, "3 samples; got 2"),
-        ({"time": TIME[:0], "position": PLANE[:0], "velocity": PLANE[:0]}, "3 samples; got 0"),
-        ({"position": PLANE * 1e100}, "position is .* in row 0: no flight"),
-        ({"velocity": PLANE * -1e300}, "velocity is .* no flight"),
-        ({"vehicle": PointMassVehicle(1e-30)}, "is no vehicle that flies; change the units"),
-        ({"vehicle": PointMassVehicle(1e308)}, "is no vehicle that flies"),
-        ({"vehicle": PointMassVehicle(math.inf, drag=1e-30)}, "is no vehicle that flies"),
-        ({"vehicle": PointMassVehicle(0.5, (0.0, -1e30))}, "is no vehicle that flies"),
-        ({"time": TIME * 1e-320}, r"samples .* s apart are no flight; give time in seconds"),
+        *((Flight, changes, message) for changes, message in [
+            ({"time": TIME[[0, 2, 1, 3]]}, rf"^time runs backwards: {BACKWARDS} begins$"),
+            ({"time": TIME[[0, 1, 1, 2]]}, r"stands still: row 2 \(t=0\.1\) follows t=0\.1"),
+            ({"time": [0.0, 0.1, 0.2, math.nan]}, "time must be finite: row 3 is nan"),
+            ({"time": [0.0, 0.1, 0.2, math.inf]}, "time must be finite: row 3 is inf"),
+            ({"velocity": [[0, 1], [2, 3], [4, math.nan], [6, 7]]}, "finite: row 2, y is nan"),
+            ({"velocity": np.where(PLANE == 5, math.inf, PLANE)}, "velocity .* finite: row 2, y"),
+            ({"time": TIME[:, None]}, r"time must have shape \(m,\); got \(4, 1\)"),
+            ({"time": 3.0}, r"time must have shape \(m,\); got \(\)"),
+            ({"position": PLANE.T}, r"position must have shape \(m, 2\); got \(2, 4\)"),
+            ({"velocity": np.zeros((4, 3))}, r"velocity must have shape \(m, 2\)"),
+            ({"velocity": np.zeros(4)}, r"velocity must have shape \(m, 2\)"),
+            ({"velocity": np.zeros((5, 2))}, "got 4 of time, 4 of position, 5 of velocity"),
+            ({"time": ["a", "b", "c", "d"]}, "time must be an array of real numbers"),
+            ({"time": [0.0, None, 1.0, 2.0]}, "time must be an array of real numbers"),
+            ({"position": PLANE * 1j}, "position must be an array of real numbers"),
+            ({"position": [[1.0], [1.0, 2.0]]}, "position must be an array of numbers; its rows"),
+            ({"time": np.ma.masked_greater(TIME, 0.2)}, "masked"),
+            ({"time": TIME.astype("M8[s]")}, "time must be an array of real numbers"),
+            ({"thrust": np.zeros((5, 2))}, "5 of thrust"),
+            ({"vehicle": None}, "vehicle must be a PointMassVehicle"),
+            ({"flow": 3.0}, "flow must be one of CellularFlow, "),
+            ({"time": TIME[:2], "position": PLANE[:2], "velocity": PLANE[:2]}, "3 samples; got 2"),
+            ({"time": TIME[:0], "position": PLANE[:0], "velocity": PLANE[:0]}, "3 samples; got 0"),
+            ({"position": PLANE * 1e100}, "position is .* in row 0: no flight"),
+            ({"velocity": PLANE * -1e300}, "velocity is .* no flight"),
+            ({"vehicle": PointMassVehicle(1e-30)}, "is no vehicle that flies; change the units"),
+            ({"vehicle": PointMassVehicle(1e308)}, "is no vehicle that flies"),
+            ({"vehicle": PointMassVehicle(math.inf, drag=1e-30)}, "is no vehicle that flies"),
+            ({"vehicle": PointMassVehicle(0.5, (0.0, -1e30))}, "is no vehicle that flies"),
+            ({"time": TIME * 1e-320}, r"samples .* s apart are no flight; give time in seconds"),
+        ]),
+        *((PointMassVehicle, changes, message) for changes, message in [
+            ({"response_time": math.inf}, "response_time"),
+            ({"response_time": 0.0}, "response_time"),
+            ({"response_time": "fast"}, "response_time"),
+            ({"thrust_acceleration": (1.0,)}, "thrust_acceleration must be two numbers"),
+            ({"thrust_acceleration": (1.0, math.nan)}, "thrust_acceleration"),
+            ({"drag": -0.1}, "drag"),
+            ({"thrust_scale": math.nan}, "thrust_scale"),
+        ]),
+        (ThrustSeries, {"time": TIME[[0, 1, 1, 2]]}, "increasing strictly"),
+        (ThrustSeries, {"time": TIME[:1], "acceleration": PLANE[:1]}, "two times or more"),
+        *((LogFaults, changes, message) for changes, message in [
+            ({"wander": -1.0}, "wander must be"),
+            ({"wander_time": 0.0}, "wander_time must be"),
+            ({"outliers": 1.5}, "outliers must be a number in"),
+            ({"outlier_size": math.inf}, "outlier_size must be"),
+            ({"jumps": 1.5}, "jumps must be an integer"),
+            ({"gaps": -1}, "gaps must be an integer"),
+            ({"gap_duration": -1.0}, "gap_duration must be"),
+            ({"lost_samples": 1.5}, "lost_samples must be a number in"),
+        ]),
+        (ShapedCells, {"length_scales": (4.0, 0.0)}, "length_scales must be a finite number above"),
+        (ShapedCells, {"length_scales": "wide"}, "length_scales must be two numbers"),
+        (ShapedCells, {"angle": math.pi}, "angle must lie between 0 and pi"),
+        (ShapedCells, {"heading": math.nan}, "heading must be a finite number"),
+        (ShapedCells, {"drift": 1.0}, "drift must be two numbers"),
+        (ShapedCells, {"swell": 1.0}, "swell is a share of mean_velocity, below 1"),
+        (ShapedCells, {"swell_period": 0.0}, "swell_period must be"),
+        (WaveFlow, {"wavevectors": [[0.0, 0.0]]}, "no wavevector may be"),
+        (WaveFlow, {"wavevectors": []}, "shape"),
+        (WaveFlow, {"cosine": [1.0, 2.0]}, r"cosine must have shape \(1,\); got \(2,\)"),
+        (WaveFlow, {"sine": [math.inf]}, "sine must be finite: row 0 is inf"),
+        (WaveFlow, {"cosine": ["a"]}, "cosine must be an array of real numbers"),
+        (Turbulence, {"intensity": 0.0}, r"intensity .* \[m/s\]"),
+        (Turbulence, {"length": -1.0}, r"length .* \[m\]"),
+        (Turbulence, {"memory": 0.0}, r"memory .* \[s\]"),
+        (Turbulence, {"spectrum": "dreyden"}, 'did you mean "dryden"'),
+        (Turbulence, {"seed": -1}, "seed must be an integer"),
+        (SuperposedFlow, {"wind": (1.0,)}, r"wind must be two numbers"),
+        *((SuperposedFlow, {"components": bad}, "components must be a tuple of flows")
+          for bad in ((), CellularFlow(1.0, 1.0), (CellularFlow(1.0, 1.0), 3.0), None)),
+        *((CellularFlow, {"mean_velocity": bad}, r"mean_velocity .* \[m/s\]") for bad in BAD),
+        *((CellularFlow, {"length_scale": bad}, r"length_scale .* \[m\]") for bad in BAD),
     ],
-)
-def test_bad_fields_are_named(changes, message):
+)  # fmt: skip
+def test_bad_fields_are_named(kind, changes, message):
     with pytest.raises(InputError, match=message):
-        flight_with(**changes)
+        kind(**(GOOD[kind] | changes))

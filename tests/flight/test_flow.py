@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from sparsefit.errors import InputError
 from sparsefit.flight import simulate_flight
 from sparsefit.flight.flow import CellularFlow, ShapedCells, SuperposedFlow
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -180,57 +179,6 @@ def test_each_sample_of_a_flight_follows_from_the_last_by_the_slow_reference(nam
         span = flight.time[[row, row + 1]]
         step = solve_ivp(slow, span, states[row], method="DOP853", rtol=1e-13, atol=1e-14)
         np.testing.assert_allclose(states[row + 1], step.y[:, -1], atol=2e-12)
-
-
-BAD = (0.0, -1.0, math.nan, math.inf, "3", None, True)
-
-
-@pytest.mark.parametrize(
-    ("kind", "changes", "message"),
-    [
-        (ShapedCells, {"length_scales": (4.0, 0.0)}, "length_scales must be a finite number above"),
-        (ShapedCells, {"length_scales": "wide"}, "length_scales must be two numbers"),
-        (ShapedCells, {"angle": math.pi}, "angle must lie between 0 and pi"),
-        (ShapedCells, {"heading": math.nan}, "heading must be a finite number"),
-        (ShapedCells, {"drift": 1.0}, "drift must be two numbers"),
-        (ShapedCells, {"swell": 1.0}, "swell is a share of mean_velocity, below 1"),
-        (ShapedCells, {"swell_period": 0.0}, "swell_period must be"),
-        (WaveFlow, {"wavevectors": [[0.0, 0.0]]}, "no wavevector may be"),
-        (WaveFlow, {"wavevectors": []}, "shape"),
-        (WaveFlow, {"cosine": [1.0, 2.0]}, r"cosine must have shape \(1,\); got \(2,\)"),
-        (WaveFlow, {"sine": [math.inf]}, "sine must be finite: row 0 is inf"),
-        (WaveFlow, {"cosine": ["a"]}, "cosine must be an array of real numbers"),
-        (Turbulence, {"intensity": 0.0}, r"intensity .* \[m/s\]"),
-        (Turbulence, {"length": -1.0}, r"length .* \[m\]"),
-        (Turbulence, {"memory": 0.0}, r"memory .* \[s\]"),
-        (Turbulence, {"spectrum": "dreyden"}, 'did you mean "dryden"'),
-        (Turbulence, {"seed": -1}, "seed must be an integer"),
-        (SuperposedFlow, {"wind": (1.0,)}, r"wind must be two numbers"),
-        *((SuperposedFlow, {"components": bad}, "components must be a tuple of flows")
-          for bad in ((), PLAIN, (PLAIN, 3.0), None)),
-        *((CellularFlow, {"mean_velocity": bad}, r"mean_velocity .* \[m/s\]") for bad in BAD),
-        *((CellularFlow, {"length_scale": bad}, r"length_scale .* \[m\]") for bad in BAD),
-    ],
-)  # fmt: skip
-def test_bad_parameters_are_named(kind, changes, message):
-    good = {
-        ShapedCells: {"mean_velocity": 6.0, "length_scales": (4.0, 4.0)},
-        WaveFlow: {"wavevectors": [[1.0, 0.0]], "cosine": [1.0], "sine": [1.0]},
-        Turbulence: {"intensity": 1.0, "length": 5.0},
-        SuperposedFlow: {"components": (PLAIN,)},
-        CellularFlow: {"mean_velocity": 1.0, "length_scale": 1.0},
-    }
-    with pytest.raises(InputError, match=message):
-        kind(**(good[kind] | changes))
-
-
-def test_waves_are_kept_from_changes():
-    given = np.ones(2)
-    flow = WaveFlow([[1.0, 0.5], [0.2, 1.0]], given, given)
-    given[0] = 5.0
-    assert flow.cosine[0] == 1.0
-    with pytest.raises(ValueError, match="read-only"):
-        flow.sine[0] = 2.0
 
 
 @pytest.mark.parametrize(

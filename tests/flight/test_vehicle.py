@@ -86,20 +86,3 @@ def test_a_series_is_a_straight_line_between_its_samples():
     assert boat.pointwise()(0.25) == pytest.approx((1.5, 0.0))
     with pytest.raises(InputError, match="known from 0 to 1 s, the flight is from 0 to 2 s"):
         boat.at([0.0, 2.0])
-
-
-def test_what_is_wrong_is_told_in_one_line():
-    with pytest.raises(InputError, match="response_time"):
-        PointMassVehicle(math.inf)
-    for bad, words in (
-        ({"response_time": 0.0}, "response_time"),
-        ({"response_time": "fast"}, "response_time"),
-        ({"thrust_acceleration": (1.0,)}, "thrust_acceleration must be two numbers"),
-        ({"thrust_acceleration": (1.0, math.nan)}, "thrust_acceleration"),
-        ({"drag": -0.1}, "drag"),
-        ({"thrust_scale": math.nan}, "thrust_scale"),
-    ):
-        with pytest.raises(InputError, match=words):
-            PointMassVehicle(**({"response_time": 0.5} | bad))
-    with pytest.raises(InputError, match="increasing strictly"):
-        ThrustSeries([0.0, 0.0], np.zeros((2, 2)))

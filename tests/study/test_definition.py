@@ -68,7 +68,6 @@ def refusal(tmp_path: Path, text: str) -> str:
     with pytest.raises(InputError) as caught:
         load(tmp_path, text)
     message = str(caught.value)
-    assert "\n" not in message
     assert message.startswith(str(tmp_path / "x.toml"))
     return message.removeprefix(str(tmp_path / "x.toml"))
 
@@ -259,7 +258,6 @@ def test_what_no_estimator_can_combine_is_refused_before_the_first_case(
 def test_bombs_are_refused_in_bounded_time(tmp_path: Path, bomb: str, said: str) -> None:
     (tmp_path / "x.toml").write_text(bomb, encoding="utf-8")
     began = time.process_time()
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=said):
         read_definition(tmp_path / "x.toml")
-    assert "\n" not in str(caught.value)
     assert time.process_time() - began < 1.0

@@ -191,9 +191,8 @@ def test_a_log_that_changes_is_another_study(folder, flight):
     ],
 )
 def test_bad_logs_are_refused_by_key(folder, old, new, message):
-    with pytest.raises(InputError, match=message) as caught:
+    with pytest.raises(InputError, match=message):
         load_logs(folder, LOGGED.replace(old, new))
-    assert "\n" not in str(caught.value)
 
 
 def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
