@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit import backends
 from sparsefit.arrays import Array
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
 from sparsefit.study.contenders import ACCURACIES, ProblemDesign
@@ -167,7 +166,7 @@ class Arena:
         number, stop = self.design.cells[cell]
         case = Case(cell, number, self.design.contenders[number], stop)
         if not case.contender.missing:
-            backend = backends.get(case.contender.backend, **case.contender.settings)
+            backend = case.contender.settled
             case.points = len(self.design.fractions) or 1 if own_fraction(backend) else 1
         return case
 

@@ -93,6 +93,11 @@ class Contender:
         return [path for path in words if path.is_file() and path.is_relative_to(home)]
 
     @property
+    def settled(self) -> Any:
+        """The back-end with its settings."""
+        return backends.get(self.backend, **self.settings)
+
+    @property
     def problem_of(self) -> str:
         """The objective that it minimises, as canonical JSON."""
         return canonical_json([self.backend, dict(self.settings)])
@@ -163,7 +168,7 @@ def solve(
     contender: Contender, problem: RegressionProblem, fractions: Sequence[float], tolerance: float
 ) -> Sequence[Solution]:
     """The contender's answers, one per penalty; uncertified unless that is in its time."""
-    backend: Any = backends.get(contender.backend, **contender.settings)
+    backend = contender.settled
     stop, requested = None if math.isnan(tolerance) else tolerance, tuple(fractions)
     if contender.certified:
         data = (problem.theta, problem.target, problem.groups)
@@ -236,27 +241,21 @@ class SolverDesk:
     def first(self, contender: int, tolerance: float) -> Mapping[str, Any]:
         """A first call, on a small problem, of which it only counts that a command was late."""
         self._work = (self._contenders[contender], small_problem(), self._fractions, tolerance)
-        try:
-            self._solve()
-        except LateError as late:
-            return {"late": str(late)}
+        self._into = ()
+        answer = self.solve()
         gc.collect()
         gc.freeze()  # later collections pass over what is loaded now
-        return {}
-
-    def _solve(self) -> Sequence[Solution]:
-        work, self._work = self._work, ()
-        try:
-            return solve(*work)
-        finally:
-            gc.enable()
+        return answer
 
     def solve(self) -> Mapping[str, Any]:
         """Solve, and write what is an answer; all of it counts as time."""
+        work, self._work = self._work, ()
         try:
-            solutions = self._solve()
+            solutions = solve(*work)
         except LateError as late:
             return {"late": str(late)}
+        finally:
+            gc.enable()
         for into, solution in zip(self._into, solutions, strict=False):
             if solution.status != "error" and solution.weights is not None:
                 into[...] = np.asarray(solution.weights, float)
@@ -273,49 +272,36 @@ class JudgeDesk:
     def __init__(self, contenders: Sequence[Contender], fractions: Sequence[float]) -> None:
         self._contenders, self._fractions = contenders, fractions
         self._file = ""
-        self._problem: RegressionProblem | None = None
+        self._problem: Any = None
         self._bounds: dict[str, Array] = {}
 
     def verdict(self, file: str, contender: int, weights: str) -> Mapping[str, Any]:
-        """The verdict on the weights of a contender on the problem in a file."""
+        """The kind of the certificate, its worst value, and the excess, of the weights (p, k, n) of
+        a contender on the problem in a file.
+        """
         if file != self._file:
             self._file, self._problem, self._bounds = file, problem_of(read_rows(file)), {}
-        kind, gap, excess = self._judged(
-            self._contenders[contender], np.load(weights, allow_pickle=False)
-        )
-        return {"kind": kind, "gap": gap, "excess": excess}
-
-    def _judged(self, contender: Contender, weights: Array) -> tuple[str, float, float]:
-        """The kind of the certificate, its worst value, and the excess, of weights (p, k, n)."""
-        problem = self._problem
-        assert problem is not None
-        backend: Any = backends.get(contender.backend, **contender.settings)
+        problem, solved = self._problem, self._contenders[contender]
+        answers, backend = np.load(weights, allow_pickle=False), solved.settled
         kind = str(backend.certificate_kind)
         if kind != "duality_gap" or not isinstance(backend, PenalisedBackend):
-            solutions = [Solution(each) for each in weights]
-            certificates = [certificate_of(problem, backend, item) for item in solutions]
+            certificates = [certificate_of(problem, backend, Solution(each)) for each in answers]
             values = [math.nan if c is None else c.value for c in certificates]
             worst = max(math.inf if math.isnan(value) else value for value in values)
-            return kind, worst, worst
+            return {"kind": kind, "gap": worst, "excess": worst}
         fractions = self._fractions or own_fraction(backend)
-        statistics, penalty = problem.statistics, backend.penalty(problem)
+        penalty = backend.penalty(problem)
         alphas = problem.alpha_max(penalty) * np.array(fractions)
-        gaps = duality_gaps(problem.design, problem.target, weights, alphas, penalty)
-        primal, dual = np.array([c.primal for c in gaps]), np.array([c.dual for c in gaps])
-        bounds = self._bound(contender.problem_of, backend, fractions)
-        excess = np.maximum(primal - np.maximum(dual, bounds), 0.0)
-        null = statistics.null_objective or 1.0
-        return kind, max(c.value for c in gaps), float(excess.max()) / null
-
-    def _bound(self, solved: str, backend: Any, fractions: Sequence[float]) -> Array:
-        """D_ref (p,): certified lower bounds by the exact path; -inf where it has none."""
-        if solved not in self._bounds:
-            bounds = np.full(len(fractions), -np.inf)
-            if isinstance(backend, PenalisedPath) and self._problem is not None:
-                fits = certified_path(self._problem, backend, fractions).fits
-                bounds = np.array([f.certificate.dual if f.certificate else -np.inf for f in fits])
-            self._bounds[solved] = bounds
-        return self._bounds[solved]
+        gaps = duality_gaps(problem.design, problem.target, answers, alphas, penalty)
+        if solved.problem_of not in self._bounds:  # D_ref (p,) of the exact path, -inf of none
+            exact = isinstance(backend, PenalisedPath)
+            fits = certified_path(problem, backend, fractions).fits if exact else ()
+            lower = [f.certificate.dual if f.certificate else -math.inf for f in fits]
+            self._bounds[solved.problem_of] = np.array(lower or [-math.inf] * len(fractions))
+        bounds = np.maximum([c.dual for c in gaps], self._bounds[solved.problem_of])
+        excess = np.maximum(np.array([c.primal for c in gaps]) - bounds, 0.0).max()
+        null = problem.statistics.null_objective or 1.0
+        return {"kind": kind, "gap": max(c.value for c in gaps), "excess": float(excess) / null}
 
 
 def _peak_from_here() -> float | None:
