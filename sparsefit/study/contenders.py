@@ -41,7 +41,7 @@ from sparsefit.study.keys import (
     SolverKeys,
 )
 from sparsefit.study.problem_desk import Contender, small_problem
-from sparsefit.study.toml_file import canonical_json, digest, numbered
+from sparsefit.study.schema import canonical_json, digest, numbered
 from sparsefit.study.worker import in_child
 
 OURS = "sparsefit"

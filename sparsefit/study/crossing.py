@@ -18,7 +18,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, TypeAlias
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
@@ -32,8 +32,7 @@ from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
 from sparsefit.study.keys import BackendKeys, FlightFile, ProtocolKeys
 from sparsefit.study.quantities import nearest
-from sparsefit.study.schema import distinct, names_of, taken
-from sparsefit.study.toml_file import Section, canonical_json
+from sparsefit.study.schema import Section, canonical_json, distinct, names_of, taken
 from sparsefit.study.worker import in_child
 
 MOST_CASES = 2_000_000
@@ -99,7 +98,7 @@ class FlightDesign:
 
     given: the keys of the sections flights, derivative, library and readout that the file sets,
     dotted; sweep: levels by dotted key; validate_count: flights of the split `validate`, None
-    without [split].
+    without [split]; titles: by candidate, of the study that the cells are a part of, if any.
     """
 
     count: int
@@ -108,6 +107,7 @@ class FlightDesign:
     sweep: Mapping[str, tuple[object, ...]]
     cells: tuple[Cell, ...]
     validate_count: int | None = None
+    titles: dict[str, str] = field(default_factory=dict)
 
     def split(self, flight: int) -> str:
         """`validate`, `evaluate` or, without [split], `all`.

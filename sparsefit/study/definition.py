@@ -19,7 +19,7 @@ from sparsefit.study import crossing, keys, schema
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
 from sparsefit.study.crossing import FlightDesign
 from sparsefit.study.draw import Logs
-from sparsefit.study.toml_file import Section, canonical_json, read_toml
+from sparsefit.study.schema import Section, canonical_json, read_toml
 
 
 @dataclass(frozen=True, eq=False)

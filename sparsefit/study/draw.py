@@ -47,8 +47,7 @@ from sparsefit.study.quantities import (
     Quantity,
     nearest,
 )
-from sparsefit.study.schema import POSITIVE, items, names_of, taken
-from sparsefit.study.toml_file import Section
+from sparsefit.study.schema import POSITIVE, Section, items, names_of, taken
 from sparsefit.whole_file import read_whole
 
 MOST_FILES = 1000

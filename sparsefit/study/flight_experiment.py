@@ -24,8 +24,8 @@ from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_o
 from sparsefit.study.crossing import Cell, FlightDesign, Protocols
 from sparsefit.study.flight_desk import ALPHA, FlightDesk, path_fractions, truth_of
 from sparsefit.study.manifest import code_version
-from sparsefit.study.plan import Asking, Batch, Experiment
-from sparsefit.study.toml_file import canonical_json, digest, numbered
+from sparsefit.study.plan import Asking, Batch, Experiment, telling
+from sparsefit.study.schema import canonical_json, digest, numbered
 from sparsefit.study.worker import Answer, Ask
 
 AS_SAID = "as the study says"
@@ -61,8 +61,7 @@ class FlightExperiment(Experiment):
         cells, protocols = self.design.cells, self.design.protocols
         worlds = _halves(protocols)
         readings, words = _halves(protocols, worlds), _setting_words(cells)
-        several = len(set(readings.values())) > 1
-        conditions, candidates, titles = list[str](), list[str](), list[str]()
+        conditions, candidates, aspects = list[str](), list[str](), list[tuple[str, ...]]()
         for cell in cells:
             own = {k: level for k, level in cell.levels.items() if not _of_flight(k)}
             levels = [level_words(k, v) for k, v in cell.levels.items() if k not in own]
@@ -70,17 +69,13 @@ class FlightExperiment(Experiment):
             conditions.append(", ".join(filter(None, (world, *levels))))
             fitted = (cell.choice.name, cell.choice.label, cell.canonical_settings)
             candidates.append(digest(canonical_json([reading, own, *fitted]))[:12])
-            # The shortest name that tells it apart: what all candidates share is left out.
-            names = [reading] if several and reading != AS_SAID else []
-            names += [words[fitted]] if len(words) > 1 else []
-            chosen = [", ".join(level_words(k, v) for k, v in own.items())] if own else []
-            if not names and (several or not chosen):
-                names = [words[fitted]]
-            titles.append(" with ".join(filter(None, (": ".join(names), *chosen))))
+            chosen = ", ".join(level_words(k, v) for k, v in own.items())
+            aspects.append((reading, words[fitted], chosen))
+        titles = dict(zip(candidates, _titles(aspects), strict=True)) | self.design.titles
         return {
             "condition": conditions,
             "candidate": candidates,
-            "title": titles,
+            "title": [titles[name] for name in candidates],
             "world": [worlds[cell.protocol] for cell in cells],
             "reading": [readings[cell.protocol] for cell in cells],
             "protocol": [cell.protocol for cell in cells],
@@ -267,6 +262,15 @@ def _halves(protocols: Protocols, worlds: Mapping[str, str] | None = None) -> di
             content = (level_words(key, value) for key, value in json.loads(half).items())
             words[half] = ", ".join(content) or AS_SAID
     return {name: words[half] for half, alike in halves.items() for name in alike}
+
+
+def _titles(aspects: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """The shortest name of each (reading, back-end, levels) that tells it apart."""
+    for (_, backend, _), (reading, name, levels) in zip(aspects, telling(aspects), strict=True):
+        if reading == AS_SAID or not (reading or name or levels):
+            reading, name = "", backend
+        names = ": ".join(filter(None, (reading, name)))
+        yield " with ".join(filter(None, (names, levels)))
 
 
 def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:

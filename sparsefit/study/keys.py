@@ -18,9 +18,9 @@ from sparsefit.study.schema import (
     POSITIVE,
     SHARE,
     Range,
+    Section,
     key,
 )
-from sparsefit.study.toml_file import Section
 
 MOST_VALUES = 128_000_000  # numbers in a regression problem: a gigabyte
 COUNTED = Range(least=0, most=100_000)

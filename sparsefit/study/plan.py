@@ -32,6 +32,18 @@ T = TypeVar("T")
 Asking: TypeAlias = Generator[Ask | Outcome, Any, T]  # asks are sent an Answer; returns a T
 
 
+def telling(words: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """The words of each candidate that tell it apart, the others empty.
+
+    An aspect that all share, or that those before it settle, is left out: a title is the shortest.
+    """
+    kept = list[tuple[str, ...]]([("",) * len(each) for each in words])
+    for at in range(len(words[0])):
+        more = [(*a[:at], b[at], *a[at + 1 :]) for a, b in zip(kept, words, strict=True)]
+        kept = more if len(set(more)) > len(set(kept)) else kept
+    return kept
+
+
 @dataclass(frozen=True)
 class Batch:
     """Cells of one unit that are run together."""

@@ -42,7 +42,7 @@ from sparsefit.regression.fit import certificate_of
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import LateError, Recipe, answers
 from sparsefit.study.data_sets import Data
-from sparsefit.study.toml_file import canonical_json
+from sparsefit.study.schema import canonical_json
 from sparsefit.study.worker import resident
 
 FIRST_SECONDS = 120.0  # of a first call that may compile

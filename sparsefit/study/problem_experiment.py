@@ -23,9 +23,9 @@ from sparsefit.study.columns import PROBLEM_COLUMNS
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.data_sets import Data, shipping
 from sparsefit.study.manifest import code_version, processor, versions
-from sparsefit.study.plan import Asking, Batch, Experiment
-from sparsefit.study.problem_desk import Contender, JudgeDesk, SolverDesk
-from sparsefit.study.toml_file import canonical_json, digest, numbered
+from sparsefit.study.plan import Asking, Batch, Experiment, telling
+from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
+from sparsefit.study.schema import canonical_json, digest, numbered
 
 ON = " on "  # between the code and the machine
 
@@ -63,22 +63,14 @@ class ProblemExperiment(Experiment):
         """Every contender at each of its tolerances."""
         pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
         identities = self.design.cell_identities()
-        solvers = {(contender.objective, contender.solver) for contender, _ in pairs}
-        objectives = {objective for objective, _ in solvers}
-
-        def title(contender: Contender, stop: float) -> str:
-            words = [contender.objective, contender.solver]
-            if len(objectives) == len(solvers):  # each objective has one solver
-                words.pop()
-            elif len(objectives) == 1:
-                words.pop(0)
-            at = f" at {stop:g}" if len(contender.tolerances) > 1 else ""
-            return ", ".join(words) + at
-
+        ends = [f" at {stop:g}" if len(each.tolerances) > 1 else "" for each, stop in pairs]
+        names = [(each.objective, each.solver) for each, _ in pairs]
+        words = (", ".join(filter(None, each)) for each in telling(names))
         return {
             "condition": [""] * len(pairs),
             "candidate": [digest(name)[:12] for name in identities],
-            "title": [title(contender, stop) for contender, stop in pairs],
+            "title": [(name or pairs[0][0].objective) + at
+                      for name, at in zip(words, ends, strict=True)],
             "objective": [contender.objective for contender, _ in pairs],
             "label": [contender.objective for contender, _ in pairs],
             "backend": [contender.backend for contender, _ in pairs],
@@ -86,7 +78,7 @@ class ProblemExperiment(Experiment):
             "solver": [contender.solver for contender, _ in pairs],
             "tolerance": [stop for _, stop in pairs],
             "identity": identities,
-        }
+        }  # fmt: skip
 
     def case_id(self, unit: int, cell: int) -> str:
         """The number of the problem and a digest of the case: `003-9f1c0d6a41b2e857`."""

@@ -237,7 +237,7 @@ class Study(Definition):
         cells = tuple(replace(own.cells[cell], index=i) for i, cell in enumerate(chosen))
         content = f"{self.hash} {name} {own.count} {' '.join(cell.key for cell in cells)}"
         changes |= {"name": name, "hash": sha256(content.encode()).hexdigest()}
-        changes |= {"outputs": Outputs(), "design": replace(own, cells=cells)}
+        changes |= {"outputs": Outputs(), "design": replace(own, cells=cells, titles=self._titles)}
         return replace(self, **changes, folder=self.folder / name)
 
     @property
