@@ -53,6 +53,11 @@ class Fit(Brief):
             return math.nan
         return self.alpha_fraction * self.problem.alpha_max(self.backend.penalty(self.problem))
 
+    @property
+    def intercept(self) -> Array:
+        """The intercept (n,) in the unit of the target; 0 where the problem has none."""
+        return self.problem.intercept_of(self.weights)
+
     def predict(self, theta: Any) -> Array:
         """The target at theta (r, k), an array, frame or sparse matrix: (r,) of one target, (r, n).
 
@@ -70,7 +75,7 @@ class Fit(Brief):
         rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))
         if rows.shape[1] != self.problem.columns:
             raise InputError(f"predict needs {self.problem.columns} columns, not {rows.shape[1]}")
-        out: Array = np.asarray(rows @ self.weights) + self.problem.intercept_of(self.weights)
+        out: Array = np.asarray(rows @ self.weights) + self.intercept
         return out[:, 0] if out.shape[1] == 1 else out
 
     def to_frame(self) -> "pd.DataFrame":

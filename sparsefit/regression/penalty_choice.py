@@ -127,8 +127,9 @@ def effective_samples(residual: Array) -> float:
 def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
     """|Y - theta W|^2 per sample of each fold over that of the target, (folds, p); NaN unsolved.
 
-    Folds are contiguous, so that what is held out is not beside what was fitted, in time or in
-    space. Raises InputError on fewer than 2 samples a fold, and on compressed ones.
+    Squares count by the sample's weight. Folds are contiguous, so that what is held out is not
+    beside what was fitted, in time or in space. Raises InputError on fewer than 2 samples a fold,
+    and on compressed ones.
     """
     if problem.sample_count is not None or problem.samples < 2 * FOLDS:
         least = f"at least {2 * FOLDS} samples, not {problem.samples}"
@@ -145,5 +146,7 @@ def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
         rows, levels = problem.theta[fold], [part.intercept_of(each) for each in path]
         fitted = np.stack([rows @ each for each in path]) + np.stack(levels)[:, None, :]
         misfit = problem.raw_target[fold] - fitted
+        if problem.adjusted is not None and problem.adjusted.roots is not None:
+            misfit *= problem.adjusted.roots[fold, None]
         errors[i] = np.einsum("pit,pit->p", misfit, misfit) / (len(fold) * square)
     return errors

@@ -41,6 +41,8 @@ def test_a_fit_with_an_intercept_predicts_with_it():
     posed = sf.RegressionProblem.from_arrays(theta, target + 7.0, intercept=True)
     fit = sf.fit(posed, "lasso", alpha_fraction=1e-3)
     assert fit.predict(theta) == pytest.approx(target[:, 0] + 7.0, abs=0.1)
+    assert fit.intercept == pytest.approx(7.0, abs=0.1)
+    assert sf.fit(theta, target, "lasso").intercept == 0.0
 
 
 def test_columns_of_a_frame_are_taken_by_their_names():

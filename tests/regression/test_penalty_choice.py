@@ -245,6 +245,19 @@ def test_compressed_samples_are_chosen_for_by_information_only():
         sf.fit(packed, auto("group-lasso", "cross-validation"))
 
 
+@every
+def test_a_sample_of_weight_zero_has_no_say(selection):
+    theta, target = regular(targets=1).theta, regular(targets=1).target
+    weight = np.where(np.arange(60) % 7 == 3, 0.0, 1.0)
+    choices = []
+    for shift in (0.0, 1e3):
+        moved = target + shift * (weight == 0)[:, None]
+        posed = RegressionProblem.from_arrays(theta, moved, sample_weight=weight, intercept=True)
+        choices.append(sf.fit(posed, auto("lasso", selection)))
+    assert choices[0].criterion == pytest.approx(choices[1].criterion, rel=1e-9)
+    assert choices[0].intercept == pytest.approx(choices[1].intercept)
+
+
 @pytest.mark.parametrize("name", ["lasso", "ridge", "huber-lasso"])
 def test_what_cannot_be_cut_up_is_refused(name):
     with pytest.raises(InputError, match=r"needs at least 10 samples, not 8; give alpha_fraction"):
