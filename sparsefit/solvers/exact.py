@@ -218,9 +218,9 @@ def _with_working_set(
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
         if len(new):
-            wide = whole and len(play.index) + len(new) > m
-            in_rows = name == "block descent" or (name == "newton" and wide)
-            play = play.joined(new, cross, not in_rows)
+            size = len(play.index) + len(new)
+            in_rows = 4 * size > m if name == "block descent" else name == "newton" and size > m
+            play = play.joined(new, cross, not (whole and in_rows))
     return replace(points, words=f"{name}, {len(play.index)} columns in play")
 
 

@@ -12,17 +12,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import import_module
+from itertools import pairwise, starmap
 from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.regression.group_penalties import GroupNorms, in_order
+from sparsefit.regression.group_penalties import GroupNorms, NestedNorms, in_order
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.solvers.newton import (
     Columns,
-    dual_share,
     relative_gap,
     settled,
     towards_clusters_optimum,
@@ -114,87 +114,85 @@ def newton(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Point
 
 def variational(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
     """Group norms over all targets at hand, by Newton's method on the groups' variances."""
-    assert isinstance(on.penalty, GroupNorms)
     assert on.gram is not None
-    groups, weights, gram, pull = on.penalty.groups, on.penalty.weights, on.gram, on.cross
-    order, starts = in_order(groups, len(weights))
-    if order is not None:
-        groups, pull, gram = groups[order], pull[order], gram[np.ix_(order, order)]
-    scale = weights[groups, None]
-    if np.any(weights != 1.0):
-        pull, gram = pull / scale, gram / (scale * scale.T)
+    outer, starts, weights = _groups(on.penalty)
+    scale = outer.weights[outer.groups, None]
+    unit = np.any(outer.weights != 1.0)
+    gram, pull = (on.gram / (scale * scale.T), on.cross / scale) if unit else (on.gram, on.cross)
     alpha = min(attempts, key=lambda each: abs(each - alphas[0]))
-    start = on.penalty.block_norms(attempts[alpha]).max(axis=1)  # |W_g| = eta_g alpha there
-    sources, ends = compiled("variances"), np.append(starts, len(groups))
-    problem = sources.Groups(np.ascontiguousarray(gram), np.ascontiguousarray(pull.T), ends)
-    search = sources.Search(problem, start * weights / alpha, stop)
+    norms = np.sqrt(np.add.reduceat(np.square(attempts[alpha]).sum(axis=1), starts[:-1]))
+    sources = compiled("variances")
+    problem = sources.Groups(np.ascontiguousarray(gram), np.ascontiguousarray(pull.T), starts)
+    search = sources.Search(problem, norms * weights / alpha, stop)  # |W_g| = eta_g alpha there
     points = Points.zeros(len(alphas), on.cross)
-    place = slice(None) if order is None else order
     with np.errstate(all="ignore"):  # what breaks is caught by the gap, not by warnings
         for i, alpha in enumerate(alphas.tolist()):
             solved, gap, points.steps[i] = search.minimised(alpha)
-            points.weights[i, place], points.complete[i] = solved.T / scale, gap <= stop
+            points.weights[i], points.complete[i] = solved.T / scale, gap <= stop
     return points
 
 
+def _groups(penalty: Penalty) -> tuple[GroupNorms, IntArray, Array]:
+    """The norms of groups whose columns are neighbours, where each starts, and its weight."""
+    outer = penalty.outer if isinstance(penalty, NestedNorms) else penalty
+    assert isinstance(outer, GroupNorms)
+    starts = np.flatnonzero(np.diff(outer.groups, prepend=-1, append=-1))
+    return outer, starts, outer.weights[outer.groups[starts[:-1]]]
+
+
 def block_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
-    """Group norms by block descent with extrapolation, for many columns in use beside the rows.
+    """Norms of groups, and of coefficients within them, by block descent with extrapolation.
 
-    The columns of a group are neighbours, and orthogonal. Source: Bertrand and Massias, "Anderson
-    acceleration of coordinate descent" (AISTATS 2021).
+    The columns of a group are neighbours; without a norm within they are orthogonal. Sums have rows
+    of their own, G = R'R. Newton's method ends what takes too many sweeps, as columns are alike.
+    Source: Bertrand and Massias, "Anderson acceleration of coordinate descent" (AISTATS 2021).
     """
-    assert isinstance(on.penalty, GroupNorms)
-    assert on.rows is not None
-    assert on.target is not None
-    rows, target, samples = on.rows, on.target.T, float(on.samples)
-    starts = np.flatnonzero(np.diff(on.penalty.groups, prepend=-1, append=-1))
-    weights = on.penalty.weights[on.penalty.groups[starts[:-1]]]
-    square, attempts = np.einsum("ij,ij->j", rows, rows) / samples, dict(attempts)
-    points = Points.zeros(len(alphas), on.cross)
+    penalty, attempts, inner = on.penalty, dict(attempts), np.zeros(len(on.cross))
+    (_, starts, weights), (rows, target, samples) = _groups(penalty), on.roots()
+    square, sizes = np.einsum("ij,ij->j", rows, rows) / samples, np.diff(starts)
+    if isinstance(penalty, NestedNorms):
+        inner = penalty.inner.weights
+        parts = [rows[:, part] for part in starmap(slice, pairwise(starts))]
+        steepest = [np.linalg.eigvalsh(part.T @ part)[-1] for part in parts]
+        square = np.repeat(np.array(steepest) / samples, sizes)
+    points, most = Points.zeros(len(alphas), on.cross), MOST
     trail = [np.empty((EXTRAPOLATED + 2, *part.shape)) for part in (on.cross.T, target)]
-    sweep = compiled("sweeps").descend_groups
-
-    def norms(values: Array) -> Array:
-        sizes: Array = np.sqrt(np.add.reduceat(np.square(values).sum(axis=0), starts[:-1]))
-        return sizes
+    sweep, blocks = compiled("sweeps").descend_groups, np.repeat(np.arange(len(sizes)), sizes)
 
     def height_of(values: Array, residual: Array, alpha: float) -> float:
         square = float(np.vdot(residual, residual)) / samples
-        return 0.5 * square + alpha * float(weights @ norms(values))
+        return 0.5 * square + alpha * float(penalty.value(values.T))
 
     for i, alpha in enumerate(alphas.tolist()):
         values = _nearest(attempts, alpha).T
         residual = target - values @ rows.T
         while True:
-            sizes, pull = norms(values), norms(residual @ rows) / (samples * weights)
-            product, left = (float(np.vdot(residual, y)) / samples for y in (target, residual))
-            s = dual_share(product, left, float(pull.max()), alpha)
-            gap = 2.0 * (height_of(values, residual, alpha) - s * product + 0.5 * s * s * left)
-            if gap <= stop or points.steps[i] >= MOST:
+            pull = (residual @ rows).T / samples
+            if on.gram is not None:  # of which R may have lost digits
+                pull = on.cross - on.times(values.T)
+            gap = relative_gap(on, alpha, values.T, pull)
+            if gap <= stop or points.steps[i] >= most:
                 break
             points.steps[i] += 1 + EXTRAPOLATED
             trail[0][0], trail[1][0] = values, residual
-            used = np.flatnonzero((sizes > 0.0) | (pull > alpha))
-            sweep(rows, starts, used, alpha * weights, square, samples, *trail)
+            used = (values.T != 0.0) | (penalty.prox(values.T + pull, alpha) != 0.0)
+            used = np.unique(blocks[used.any(axis=1)])
+            limits = alpha * weights, alpha * inner
+            sweep(rows, starts, used, *limits, square, samples, *trail)
             moves = np.diff(trail[0][1:], axis=0).reshape(EXTRAPOLATED, -1)
-            inner = moves @ moves.T
-            inner.flat[:: EXTRAPOLATED + 1] += 1e-12 * np.trace(inner) + 1e-300
-            share = np.linalg.solve(inner, np.ones(EXTRAPOLATED))
+            products = moves @ moves.T
+            products.flat[:: EXTRAPOLATED + 1] += 1e-12 * np.trace(products) + 1e-300
+            share = np.linalg.solve(products, np.ones(EXTRAPOLATED))
             values, residual = (np.tensordot(share / share.sum(), part[2:], 1) for part in trail)
             if height_of(values, residual, alpha) > height_of(trail[0][-1], trail[1][-1], alpha):
                 values, residual = (part[-1].copy() for part in trail)
-        attempts[alpha] = points.weights[i] = values.T
+        values = values.T
+        if gap > stop:
+            values, gap, taken = settled(on, alpha, values, stop)
+            points.steps[i] += taken
+            most = 0
+        attempts[alpha] = points.weights[i] = values
         points.complete[i] = gap <= stop
-        if gap > stop == DESCENDED:  # columns are too much alike
-            whole = replace(on, gram=rows.T @ rows / samples)
-            rest = variational(whole, alphas[i:], attempts, STOP)
-            for part, other in zip(
-                (points.weights, points.complete, points.steps),
-                (rest.weights, rest.complete, rest.steps),
-                strict=True,
-            ):
-                part[i:] = other
-            break
     return points
 
 
@@ -253,6 +251,9 @@ def kernel_for(penalty: Penalty, targets: int) -> str:
         return "homotopy"
     if not penalty.ridge and isinstance(penalty, GroupNorms) and compiled("variances"):
         return "variational"
+    nested = isinstance(penalty, NestedNorms) and isinstance(penalty.inner, AbsoluteValues)
+    if nested and not penalty.ridge and compiled("sweeps"):
+        return "block descent"
     slope = type(penalty) is SortedNorm and not penalty.ridge
     return "cluster descent" if slope and targets == 1 and compiled("sweeps") else "newton"
 
@@ -262,6 +263,11 @@ def path_on_gram(
 ) -> Points:
     """The path of targets that are solved together, on all columns: G (k, k), B (k, q), |Y|^2/m."""
     level, name = float(np.sqrt(square)), kernel_for(penalty, cross.shape[1])
+    order = in_order(penalty.blocks, 0)[0]
+    if order is not None and (ordered := penalty.restricted(order)) is not None:
+        points = path_on_gram(gram[np.ix_(order, order)], cross[order], ordered, alphas, square)
+        return replace(points, weights=points.weights[:, np.argsort(order)])
     on = Columns(penalty.in_units(level), cross / level, 0, gram)
-    points = KERNELS[name](on, alphas / level, {BEGIN: np.zeros(cross.shape)}, STOP)
+    goal = DESCENDED if name == "block descent" else STOP
+    points = KERNELS[name](on, alphas / level, {BEGIN: np.zeros(cross.shape)}, goal)
     return replace(points, weights=points.weights * level, words=f"{name}, all columns")

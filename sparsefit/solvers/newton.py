@@ -62,6 +62,23 @@ class Columns:
         pulled: Array = ((self.rows[:, on] @ values[on]).T @ self.rows).T / self.samples
         return pulled
 
+    def roots(self) -> tuple[Array, Array, float]:
+        """Rows R (r, j) and targets T (q, r) with R'R = r G and R'T' = r B, and the number r.
+
+        They are those that there are, or triangular, where G is a matrix: Cholesky's factor.
+        """
+        if self.gram is None:
+            assert self.rows is not None
+            assert self.target is not None
+            return self.rows, self.target.T, float(self.samples)
+        from scipy.linalg.lapack import dpstrf, dtrtrs
+
+        root, pivots, rank, _ = dpstrf(self.gram.T)
+        rows, order = np.zeros((rank, len(root)), order="F"), pivots - 1
+        rows[:, order] = np.triu(root[:rank])
+        target, _ = dtrtrs(root[:rank, :rank], self.cross[order[:rank]], trans=1)
+        return rows, np.ascontiguousarray(target.T), 1.0
+
     def solved(self, on: IntArray, factor: Any, pull: Array, step: float, targets: int) -> Array:
         """s N (I + s N'G N)^-1 N' pull (c,) on the coefficients ``on`` (c,), flat in (j, q)."""
         right = pull if factor is None else factor.T @ pull

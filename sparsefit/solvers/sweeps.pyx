@@ -75,6 +75,7 @@ def descend_groups(
     const Py_ssize_t[::1] starts,
     const Py_ssize_t[::1] groups,
     const double[::1] limits,
+    const double[::1] inner,
     const double[::1] square,
     double samples,
     double[:, :, ::1] values,
@@ -82,7 +83,9 @@ def descend_groups(
 ):
     """Sweep over some groups: group g has the columns starts[g] to starts[g + 1] of z (m, j).
 
-    The columns of a group are orthogonal, with square (j,) z_i'z_i/m. limits: alpha w (g,). Each
+    The columns of a group are orthogonal, with square (j,) z_i'z_i/m, or square is a bound of the
+    group's largest eigenvalue: the step is a proximal one then. limits: alpha w (g,); inner (j,):
+    those of the absolute values within, by which pull is first brought nearer to zero. Each
     sweep makes the next of values (s, q, j) and residuals (s, q, m) of those before, the first of
     which are given. With a_i = sum_t pull_ti^2, the norm n of a group's optimum,
     v_i = n pull_i / (d_i n + limit), is the root of 1/sqrt(sum_i a_i / (d_i n + limit)^2) = 1,
@@ -108,6 +111,9 @@ def descend_groups(
                 )
                 for i in range(size):
                     pull[t, i] += square[j + i] * value[t, j + i]
+                    if inner[j + i] > 0.0:
+                        share = max(fabs(pull[t, i]) - inner[j + i], 0.0)
+                        pull[t, i] = share if pull[t, i] > 0.0 else -share
                     total += pull[t, i] * pull[t, i]
             for _ in range(NEWTON if total > limit * limit else 0):
                 total = slope = 0.0

@@ -7,7 +7,7 @@ import pytest
 
 from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.design import Design
-from sparsefit.regression.group_penalties import GroupNorms
+from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, BoundedValues
 from sparsefit.regression.problem import RegressionProblem
@@ -25,7 +25,10 @@ PENALTIES = {
     "adaptive elastic net": AbsoluteValues(np.geomspace(0.1, 3.0, K), ridge=2.0),
     "SLOPE": SortedNorm(np.linspace(1.0, 0.3, K)),
     "groups": GroupNorms(np.arange(K) // 3, np.ones(8)),
-    "groups in another order": GroupNorms(np.arange(K) % 8, np.linspace(0.5, 2.0, 8)),
+    "weighted groups": GroupNorms(np.arange(K) // 3, np.linspace(0.5, 2.0, 8)),
+    "nested groups": NestedNorms(
+        GroupNorms(np.arange(K) // 3, np.linspace(0.5, 1.0, 8)), AbsoluteValues(np.full(K, 0.3))
+    ),
 }
 
 
@@ -161,12 +164,13 @@ def test_clusters_of_columns_that_are_alike_are_certified(kind):
     [
         *(("LASSO", 1, "homotopy"), ("elastic net", 1, "homotopy"), ("LASSO", 2, "newton")),
         *(("groups", 1, "variational"), ("groups", 2, "variational")),
+        ("nested groups", 2, "block descent"),
         *(("SLOPE", 1, "cluster descent"), ("SLOPE", 2, "newton")),
     ],
 )
 def test_a_ridge_or_further_targets_take_the_kernel_that_knows_them(kind, targets, name):
     assert kernel_for(PENALTIES[kind], targets) == name
-    if kind in ("groups", "SLOPE"):
+    if kind in ("groups", "nested groups", "SLOPE"):
         assert kernel_for(replace(PENALTIES[kind], ridge=0.1), targets) == "newton"
 
 
