@@ -228,8 +228,9 @@ class Arena:
             memory = _number(answer.content, "memory") - _number(ready.content, "memory")
             case.values |= {"memory": memory if memory > 0.0 else 0.0 * memory, "word": words}
         wall = max(answer.wall - self.overhead.get(case.desk, 0.0), 1e-9)
-        # A command is charged for neither its start nor its files.
-        wall, cpu = answer.content.get("clock") or (wall, answer.cpu)
+        # A command is charged for neither its start nor its files; the word of others is none.
+        own = answer.content.get("clock") if case.contender.command else None
+        wall, cpu = own or (wall, answer.cpu)
         return weights, wall, cpu
 
     def _meet(self, case: Case) -> Asking[None]:

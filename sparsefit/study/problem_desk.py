@@ -76,9 +76,14 @@ class Contender:
 
         The first call of what ships may compile.
         """
-        if self.recipe is not None and self.recipe.command:
+        if self.recipe is not None and self.command:
             return self.limit + targets * self.recipe.start + FIRST_SECONDS
         return max(self.limit, FIRST_SECONDS) if first and not self.foreign else self.limit
+
+    @property
+    def command(self) -> bool:
+        """Whether it is a program of its own, which keeps its clock and its limits itself."""
+        return self.recipe is not None and bool(self.recipe.command)
 
     @property
     def files(self) -> list[Path]:

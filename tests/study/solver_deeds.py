@@ -4,7 +4,7 @@ import os
 import time
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -71,6 +71,9 @@ def do(deed, work, key):
                 os.write(descriptor, b"{}\n")
     answer = work()
     if deed == "clock":
+        from sparsefit.solvers import registry
+
+        registry.replace = lambda said, **more: replace(said, **{**more, "clock": (1e-9, 1e-9)})
         time.perf_counter = time.process_time = time.monotonic = lambda: 0.0
     if deed == "judge":
         import sparsefit.regression.certificate as certificate
