@@ -15,7 +15,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import plugins
-from sparsefit.study import manifest
+from sparsefit.study import manifest, runner
 from sparsefit.study.runner import locked
 from sparsefit.study.store import CASES, STORE, Store, read_cases
 from tests.study import attacks, hostile
@@ -215,6 +215,22 @@ def test_a_damaged_row_is_computed_again(whole, copied):
     assert copied.status().done == 12
     assert copied.run(processes=1).damaged == 6
     pd.testing.assert_frame_equal(stable(copied.folder), stable(whole[0].folder))
+
+
+def test_a_run_that_ends_between_its_files_goes_on(copied, monkeypatch):
+    def end(*_):
+        raise KeyboardInterrupt
+
+    attacks.unpack(copied)
+    with Store.opened(copied.folder, copied.planned) as store:  # an export that is another
+        store.put_row(store.rows()[0]._replace(reason="another"))
+    monkeypatch.setattr(runner, "write_manifest", end)
+    with pytest.raises(KeyboardInterrupt):
+        copied.run(processes=1)
+    assert (copied.folder / CASES).exists()
+    monkeypatch.undo()
+    assert (copied.run(processes=1).computed, copied.status().finished) == (0, True)
+    assert read_cases(copied.folder)["reason"][0] == "another"
 
 
 def test_spoiled_bytes_are_refused_or_passed_over(copied):
