@@ -36,7 +36,6 @@ def run_list(args: argparse.Namespace) -> Reply:
       sparsefit backends list --json
     """
     from sparsefit import backends
-    from sparsefit.solvers.conic import installed_solvers
     from sparsefit.solvers.registry import Recipe, solver_names
     from sparsefit.study.worker import in_child
 
@@ -50,7 +49,6 @@ def run_list(args: argparse.Namespace) -> Reply:
     others = [Recipe(name) for name in solver_names()]
     return Reply({
         "backends": [record(name) for name in (*backends.known(), *backends.PUBLIC)],
-        "cvxpy_solvers": installed_solvers(),
         "solvers": [other.name for other in others if not other.missing],
         "missing": {other.name: other.missing for other in others if other.missing},
     })  # fmt: skip

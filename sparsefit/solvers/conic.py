@@ -15,15 +15,15 @@ Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. 
 
 import math
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import InputError, MissingExtra
+from sparsefit.errors import InputError
 from sparsefit.regression.backend import Tolerance
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
@@ -36,17 +36,6 @@ from sparsefit.regression.penalties import (
 )
 
 BATCH, ROUNDS = 50, 60  # columns that join at a time, cone programs at a penalty
-EPS = ("eps_abs", "eps_rel")
-BEHIND_CVXPY: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
-    "clarabel": (("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1}),
-    "osqp": (EPS, {"max_iter": 50_000, "polishing": True}),
-    "scs": (EPS, {"max_iters": 50_000}),
-    "piqp": (EPS, {}),
-    "proxqp": (EPS, {}),
-    "ecos": (("abstol", "reltol", "feastol"), {}),
-    **dict.fromkeys(("highs", "daqp", "qoco", "cvxopt", "mosek", "gurobi"), ((), {})),
-}
-"""Solver of cvxpy -> the settings that hold its tolerance, and what asks it for accuracy."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +101,8 @@ def _solved(
         cross = columns.T @ target / design.samples
         values, status = _cone_program(gram, cross / alpha, penalty, stop)
         return values * alpha, status
-    ((values, status),) = _through_cvxpy(
-        "clarabel", columns, target, penalty, [alpha], stop, design.samples
-    )
+    asked = (columns, target, penalty, [alpha], stop, design.samples)
+    ((values, status),) = BEHIND_CVXPY["clarabel"].points(*asked)
     return values, "Solved" if status == "optimal" else status
 
 
@@ -175,16 +163,15 @@ def _cone_program(
 class Cvxpy:
     """A solver that cvxpy finds, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
 
-    name: its name in cvxpy, in lower case.
+    name: its name in cvxpy, in lower case; package: the module it needs; tolerances: its settings
+    that hold one; more: what asks it for accuracy; extra: what pip installs, if not the package.
     """
 
-    package: ClassVar[str] = "cvxpy"
     name: str
-
-    def __post_init__(self) -> None:
-        if self.name not in installed_solvers():
-            extra = "'sparsefit[peers]'" if self.name in ("piqp", "daqp") else self.name
-            raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
+    package: str
+    tolerances: tuple[str, ...] = ()
+    more: Mapping[str, Any] = field(default_factory=dict)
+    extra: str = ""
 
     def takes(self, penalty: Penalty) -> str:
         """Every penalty with a conic form; solvers of quadratic programs take no group norms."""
@@ -198,81 +185,91 @@ class Cvxpy:
         self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array:
         """Weights (p, k, n); tolerance: the solver's own, 1e-9 where none is asked for."""
-        matrix, weights = design.columns(np.arange(penalty.columns)), []
-        for values, status in _through_cvxpy(
-            *(self.name, matrix, target, penalty, alphas.tolist(), tolerance or 1e-9),
-            design.samples,
-        ):
+        columns, weights = design.columns(np.arange(penalty.columns)), []
+        asked = (alphas.tolist(), tolerance or 1e-9, design.samples)
+        for values, status in self.points(columns, target, penalty, *asked):
             if status != "optimal":
                 warnings.warn(f"{self.name}: {status}", RuntimeWarning, stacklevel=2)
             weights.append(values)
         return np.stack(weights)
 
+    def points(
+        self,
+        matrix: Array,
+        target: Array,
+        penalty: Penalty,
+        alphas: list[float],
+        tolerance: float,
+        samples: int,
+    ) -> Iterator[tuple[Array, str]]:
+        """V (k, n) of the columns (m, k) at each alpha, NaN where there is none, and the status.
 
-def _through_cvxpy(
-    solver: str,
-    matrix: Array,
-    target: Array,
-    penalty: Penalty,
-    alphas: list[float],
-    stop: float,
-    samples: int,
-) -> Iterator[tuple[Array, str]]:
-    """V (k, n) of the columns (m, k) at each alpha, NaN where there is none, and the status.
+        V and the target are divided by the first alpha. Half the mean square is 1/2 v'Gv - <C, V>;
+        its root has the rows of a QR of [Z, Y], Huber's loss all rows.
+        """
+        import cvxpy
 
-    V and the target are divided by the first alpha. Half the mean square is 1/2 v'Gv - <C, V>; its
-    root has the rows of a QR of [Z, Y], Huber's loss all rows.
-    """
-    import cvxpy
-
-    loss, unit = penalty.loss, alphas[0]
-    variable = cvxpy.Variable((matrix.shape[1], target.shape[1]))
-    scaled, fraction = target / unit, cvxpy.Parameter(nonneg=True, value=1.0)
-    level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
-    if loss == SQUARES:
-        gram = matrix.T @ matrix / samples
-        root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
-        objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
-        for t in range(target.shape[1]):
-            objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
-    elif isinstance(loss, RootSquares):
-        triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
-        matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
-        size = cvxpy.norm(matrix @ variable - scaled, "fro") / math.sqrt(samples)
-        objective = math.sqrt(float(np.sum(level**2))) * size
-    else:
-        residual = matrix @ variable - scaled
-        parts = [
-            cvxpy.sum(cvxpy.huber(residual[:, t], float(reach))) / (2 * samples)
-            for t, reach in enumerate(loss.bound(level))
-        ]
-        objective = cvxpy.sum(cvxpy.hstack(parts))
-    if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit
-        penalty = penalty.in_units(unit)
-    norm, constraints = penalty.conic(variable, cvxpy)
-    if penalty.ridge:
-        norm = norm + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
-    program = cvxpy.Problem(cvxpy.Minimize(objective + fraction * norm), constraints)
-    stops, more = BEHIND_CVXPY[solver]
-    for alpha in alphas:
-        fraction.value = alpha / unit
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the status says so
-            try:
-                program.solve(solver=solver.upper(), **more, **dict.fromkeys(stops, stop))
-                status = str(program.status)
-            except (cvxpy.error.SolverError, ValueError, ArithmeticError) as error:
-                status = str(error)
-        values = np.full(variable.shape, np.nan)
-        if variable.value is not None and status in ("optimal", "optimal_inaccurate", "user_limit"):
-            values = unit * np.asarray(variable.value)
-        if isinstance(penalty, BoundedValues):  # an interior point is that far out at most
-            values = unit * penalty.prox(values / unit, 0.0)
-        yield values, status
+        loss, unit = penalty.loss, alphas[0]
+        variable = cvxpy.Variable((matrix.shape[1], target.shape[1]))
+        scaled, fraction = target / unit, cvxpy.Parameter(nonneg=True, value=1.0)
+        level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
+        if loss == SQUARES:
+            gram = matrix.T @ matrix / samples
+            root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
+            objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
+            for t in range(target.shape[1]):
+                objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
+        elif isinstance(loss, RootSquares):
+            triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
+            matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
+            size = cvxpy.norm(matrix @ variable - scaled, "fro") / math.sqrt(samples)
+            objective = math.sqrt(float(np.sum(level**2))) * size
+        else:
+            residual = matrix @ variable - scaled
+            parts = [
+                cvxpy.sum(cvxpy.huber(residual[:, t], float(reach))) / (2 * samples)
+                for t, reach in enumerate(loss.bound(level))
+            ]
+            objective = cvxpy.sum(cvxpy.hstack(parts))
+        if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit
+            penalty = penalty.in_units(unit)
+        norm, constraints = penalty.conic(variable, cvxpy)
+        if penalty.ridge:
+            norm = norm + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
+        program = cvxpy.Problem(cvxpy.Minimize(objective + fraction * norm), constraints)
+        settings = {**self.more, **dict.fromkeys(self.tolerances, tolerance)}
+        for alpha in alphas:
+            fraction.value = alpha / unit
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # "may be inaccurate": the status says so
+                try:
+                    program.solve(solver=self.name.upper(), **settings)
+                    status = str(program.status)
+                except (cvxpy.error.SolverError, ValueError, ArithmeticError) as error:
+                    status = str(error)
+            values = np.full(variable.shape, np.nan)
+            usable = status in ("optimal", "optimal_inaccurate", "user_limit")
+            if variable.value is not None and usable:
+                values = unit * np.asarray(variable.value)
+            if isinstance(penalty, BoundedValues):  # an interior point is that far out at most
+                values = unit * penalty.prox(values / unit, 0.0)
+            yield values, status
 
 
-def installed_solvers() -> list[str]:
-    """Names of the solvers that cvxpy finds here, in lower case."""
-    import cvxpy
-
-    return sorted(name.lower() for name in cvxpy.installed_solvers())
+EPS, EXTRA = ("eps_abs", "eps_rel"), "'sparsefit[peers]'"
+_LISTED = (
+    Cvxpy(
+        *("clarabel", "clarabel", ("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1})
+    ),
+    Cvxpy("osqp", "osqp", EPS, {"max_iter": 50_000, "polishing": True}),
+    Cvxpy("scs", "scs", EPS, {"max_iters": 50_000}),
+    Cvxpy("piqp", "piqp", EPS, extra=EXTRA),
+    Cvxpy("daqp", "daqp", extra=EXTRA),
+    Cvxpy("proxqp", "proxsuite", EPS),
+    Cvxpy("ecos", "ecos", ("abstol", "reltol", "feastol")),
+    Cvxpy("highs", "highspy"),
+    Cvxpy("gurobi", "gurobipy"),
+    *(Cvxpy(name, name) for name in ("qoco", "cvxopt", "mosek")),
+)
+BEHIND_CVXPY: Mapping[str, Cvxpy] = {each.name: each for each in _LISTED}
+"""The solvers behind cvxpy by name; Clarabel is the referee's for penalties that have no cone."""

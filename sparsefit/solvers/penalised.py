@@ -60,9 +60,9 @@ class PenalisedPath(Checked, ABC):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self._is_exact:
-            from sparsefit.solvers.registry import BEHIND_CVXPY, solver, solver_names
+            from sparsefit.solvers.registry import solver, solver_names
 
-            names = (type(self).solver, "exact", *solver_names(), *BEHIND_CVXPY)
+            names = (type(self).solver, "exact", *solver_names())
             one_of(f"solver of {self.name}", self.solver, names)
             solver(self.solver)  # which may be missing here
 

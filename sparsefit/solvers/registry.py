@@ -47,15 +47,15 @@ from sparsefit.regression.backend import (
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import Penalty
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.conic import BEHIND_CVXPY, Clarabel, Cvxpy
-from sparsefit.solvers.peers import PEERS, Peer, Task, kind_of, solved_in_parts
+from sparsefit.solvers.conic import BEHIND_CVXPY, Clarabel
+from sparsefit.solvers.peers import PEERS, Task, kind_of, solved_in_parts
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["BEHIND_CVXPY", "LateError", "Recipe", "answers", "solver", "solver_names"]
+__all__ = ["LateError", "Recipe", "answers", "solver", "solver_names"]
 FOREVER = 1e6  # s: the longest wait that the system takes
-SHIPPED: Mapping[str, Any] = {Clarabel.name: Clarabel, **PEERS}
+SHIPPED: Mapping[str, Any] = {**BEHIND_CVXPY, Clarabel.name: Clarabel, **PEERS}
 
 
 class LateError(SparsefitError):
@@ -63,7 +63,7 @@ class LateError(SparsefitError):
 
 
 def _plugins() -> "Mapping[str, EntryPoint]":
-    return plugins("sparsefit.solvers", (*SHIPPED, *BEHIND_CVXPY))
+    return plugins("sparsefit.solvers", tuple(SHIPPED))
 
 
 def solver_names() -> tuple[str, ...]:
@@ -97,7 +97,7 @@ class Recipe:
 
     @property
     def owner(self) -> Any:
-        """The class of the solver, or a `Peer`. Raises InputError where there is none to load."""
+        """The class of the solver, or a row of a table. Raises InputError where there is none."""
         if self.command:
             return Command
         if self.file:
@@ -105,10 +105,10 @@ class Recipe:
             if self.name not in classes:
                 raise unknown(f"solver of {Path(self.file).name}", self.name, classes)
             return classes[self.name]
-        if self.name in {*SHIPPED, *BEHIND_CVXPY}:
-            return SHIPPED.get(self.name, Cvxpy)
+        if self.name in SHIPPED:
+            return SHIPPED[self.name]
         if self.name not in _plugins():
-            raise unknown("solver", self.name, (*solver_names(), *BEHIND_CVXPY))
+            raise unknown("solver", self.name, solver_names())
         where = f"solver {self.name!r} (plug-in)"
         return checked_class(where, imported(where, _plugins()[self.name].load), "path", "name")
 
@@ -118,13 +118,11 @@ class Recipe:
         if owner is Command:
             return Command(self)
         if self.package and importlib.util.find_spec(self.package) is None:
-            extra = getattr(owner, "extra", self.package)
+            extra = getattr(owner, "extra", "") or self.package
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
-        if owner is Cvxpy:
-            preset = {"name": self.name}
-        elif isinstance(owner, Peer):
-            owner, preset = Peer, vars(owner).copy()
-            settings = {"iterations": preset.pop("iterations"), **settings}
+        if not isinstance(owner, type):  # a row, of which iterations can be set, if anything
+            owner, preset = type(owner), vars(owner).copy()
+            settings = {k: preset.pop(k) for k in ("iterations",) if k in preset} | settings
         return made(f"solver {self.name}", owner, settings, **preset)
 
     @property

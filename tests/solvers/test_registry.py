@@ -205,10 +205,9 @@ def test_a_command_is_ended_at_its_limits(words, limits, reason):
 
 @pytest.mark.parametrize(
     ("name", "remedy"),
-    [("celer", r"'sparsefit\[peers\]'"), ("piqp", r"'sparsefit\[peers\]'"), ("gurobi", "gurobi")],
+    [("celer", r"'sparsefit\[peers\]'"), ("piqp", r"'sparsefit\[peers\]'"), ("gurobi", "gurobipy")],
 )
 def test_a_fit_by_what_is_missing_names_the_extra_that_brings_it(name, remedy, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda module: module == "cvxpy" or None)
-    monkeypatch.setattr("sparsefit.solvers.conic.installed_solvers", lambda: ["clarabel"])
+    monkeypatch.setattr("importlib.util.find_spec", lambda module: None)
     with pytest.raises(MissingExtra, match=f"{name} is not installed: pip install {remedy}"):
         sf.fit(np.eye(3), np.ones(3), "lasso", solver=name)
