@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit import Estimator, RegressionProblem, backends
-from sparsefit.codec import Place, build, integer, only, shown
+from sparsefit.codec import Place, build, integer, only
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import SHIPPED, Recipe, solver_names
@@ -42,7 +42,6 @@ from sparsefit.study.keys import (
 )
 from sparsefit.study.problem_desk import Contender, small_problem
 from sparsefit.study.schema import canonical_json, digest, numbered
-from sparsefit.study.worker import in_child
 
 OURS = "sparsefit"
 ACCURACIES = (1e-4, 1e-6, 1e-8)  # certified, at which success and time are counted
@@ -154,12 +153,12 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     (kind,) = kinds
     only(entry, (kind, "name", "alter", *KINDS[kind]), place)
     keys, rest = schema.taken(ProblemKeys, entry, place)
-    name, test, beside = keys.name or str(entry[kind]), None, None
+    name = series = keys.name or str(entry[kind])
+    folder, test, beside = Path(place.file).parent, None, None
     made: list[
         tuple[Callable[[], data_sets.Data], Any]
     ]  # what makes the arrays, and what determines them
     if kind == "file":
-        folder = Path(place.file).parent
         path = folder / keys.file
         name, shape = keys.name or path.stem, data_sets.shapes_of(path)["theta"]
         made = [(partial(data_sets.read_data, path), data_sets.digest_of(path))]
@@ -178,21 +177,19 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     else:
         if not keys.name:
             raise place.at("name").error("missing: a flight has no other name")
-        whole = Place(place.file, via=f'problem "{keys.name}": ')
+        within = Place(place.file, via=f'problem "{keys.name}": ')
         sections = {part: {**getattr(file, part), **getattr(keys, part, {})}
                     for part in ("flights", "derivative", "library")}  # fmt: skip
         count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
-        setup, content = crossing.read_setup(sections, whole), {**sections, "readout": {}}
+        setup, content = crossing.read_setup(sections, within), {**sections, "readout": {}}
         made = [(partial(_flown, setup, number, count, seed), [content, number, count, seed])
                 for number in range(count)]  # fmt: skip
     for number, (make, identity) in enumerate(made, 1):
         numbered_name = f"{name} {number}" if len(made) > 1 else name
         for alter in keys.alter:
             own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
-            whole_identity = canonical_json([identity, None, beside, alter, seed])
-            series = str(entry.get("name", entry[kind]))
-            data = keys.dataset or ""
-            yield ProblemSource(own, series, make, whole_identity, alter, seed, test, data)
+            whole = canonical_json([identity, None, beside, alter, seed])
+            yield ProblemSource(own, series, make, whole, alter, seed, test, keys.dataset or "")
 
 
 def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_sets.Data:
@@ -221,29 +218,20 @@ def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
         ]
     asked = [(keys.name, settings, recipe) for keys, settings, _, recipe in listed]
     foreign = [_foreign(name, recipe) for name, _, recipe in asked]
-    try:
-        if any(foreign):
-            about = in_child(about_contenders, asked, seconds=120.0)
-        else:
-            about = about_contenders(asked)
-    except InputError as error:
-        raise here.error(str(error)) from None
+    about = crossing.facts(about_contenders, asked, foreign=any(foreign), place=here)
     contenders: list[Contender] = []
     for (keys, settings, solver, recipe), other, words in zip(listed, foreign, about, strict=True):
         if refused := words.pop("refused"):
             raise here.error(refused)
         stops = tuple(sorted(keys.tolerances or file.tolerances, reverse=True))
         stops = stops if words.pop("stops") else (math.nan,)
-        exact = words.pop("exact")
         if its_own := words.pop("solver"):
             solver, recipe = its_own, None
-        if keys.certified:
-            if not exact:
-                why = "is for an exact path of sparsefit: no other certifies its answers"
-                raise here.at("certified").error(why)
-            solver += ", certified"
-        points = [f"{name}={shown(value)}" for name, value in settings.items()]
-        label = keys.label or " ".join([keys.name, *points])
+        if not words.pop("exact") and keys.certified:
+            why = "is for an exact path of sparsefit: no other certifies its answers"
+            raise here.at("certified").error(why)
+        solver += ", certified" * keys.certified
+        label = keys.label or crossing.named(keys.name, settings)
         if any((c.objective, c.solver) == (label, solver) for c in contenders):
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
@@ -277,10 +265,10 @@ def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, 
             code = str(folder / "solver")  # a command is sought beside the study
         grid = crossing.read_grid(settings, here)
         for point in crossing.points_of(grid):
-            varied = [f"{name}={shown(point[name])}" for name in grid if len(grid[name]) > 1]
-            limit = file.clock.limit
-            recipe = Recipe(keys.name, point, code, keys.command, limit, keys.start)
-            recipes.setdefault(keys.name, []).append((" ".join([keys.name, *varied]), recipe))
+            varied = {name: point[name] for name in grid if len(grid[name]) > 1}
+            recipe = Recipe(keys.name, point, code, keys.command, file.clock.limit, keys.start)
+            words = crossing.named(keys.name, varied)
+            recipes.setdefault(keys.name, []).append((words, recipe))
     return recipes
 
 

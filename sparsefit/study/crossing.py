@@ -17,7 +17,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from typing import Any, TypeAlias
 
@@ -159,13 +159,9 @@ def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = 
     return setup
 
 
-def override(sections: Sections, overrides: Levels) -> Sections:
-    """The sections with dotted keys (`library.target`) replaced."""
-    changed = {name: dict(section) for name, section in sections.items()}
-    for dotted, value in overrides.items():
-        section, name = dotted.split(".", 1)
-        changed.setdefault(section, {})[name] = value
-    return changed
+def named(name: str, settings: Mapping[str, object]) -> str:
+    """A name with settings: `lasso alpha_fraction=0.1`."""
+    return " ".join([name, *(f"{key}={value}" for key, value in settings.items())])
 
 
 def points_of(grid: Grid) -> list[dict[str, Any]]:
@@ -193,7 +189,11 @@ def cross(
         words = [f'protocol "{protocol}"'] if overrides else []
         words += [f"{name} = {shown(value)}" for name, value in levels.items()]
         within = Place(place.file, via=f"with {', '.join(words)}: " if words else "")
-        setup = read_setup(override(sections, {**overrides, **levels}), within, parts)
+        changed = {name: dict(section) for name, section in sections.items()}
+        for dotted, value in {**overrides, **levels}.items():
+            section, _, name = dotted.partition(".")
+            changed[section][name] = value
+        setup = read_setup(changed, within, parts)
         for own in fitted:
             identity = canonical_json([protocol, levels, own[0].name, own[1]])
             digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
@@ -270,13 +270,7 @@ def _read_backends(file: FlightFile, place: Place) -> list[Fitted]:
         keys, rest = taken(BackendKeys, entry, place)
         choice = BackendChoice(keys.name, keys.label or keys.name, read_grid(rest, place))
         points = points_of(choice.grid)
-        try:
-            if of_others(keys.name):
-                about = in_child(about_backend, keys.name, points, seconds=120.0)
-            else:
-                about = about_backend(keys.name, points)
-        except (SparsefitError, TypeError, ValueError) as error:
-            raise place.error(str(error)) from None
+        about = facts(about_backend, keys.name, points, foreign=of_others(keys.name), place=place)
         for settings, words in zip(points, about, strict=True):
             identity = canonical_json([keys.name, settings])
             if identity in seen:
@@ -284,6 +278,14 @@ def _read_backends(file: FlightFile, place: Place) -> list[Fitted]:
             seen.add(identity)
             fitted.append((choice, settings, *words))
     return fitted
+
+
+def facts(work: Callable[..., Any], *asked: object, foreign: bool, place: Place) -> Any:
+    """``work(*asked)``, in a process of its own where it loads code of others."""
+    try:
+        return in_child(work, *asked, seconds=120.0) if foreign else work(*asked)
+    except (SparsefitError, TypeError, ValueError) as error:
+        raise place.error(str(error)) from None
 
 
 def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]:

@@ -21,7 +21,7 @@ from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
-from sparsefit.study.crossing import Cell, FlightDesign, Protocols
+from sparsefit.study.crossing import Cell, FlightDesign, Protocols, named
 from sparsefit.study.flight_desk import ALPHA, FlightDesk, path_fractions, truth_of
 from sparsefit.study.manifest import code_version
 from sparsefit.study.plan import Asking, Batch, Experiment, telling
@@ -281,5 +281,5 @@ def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:
     for key, own in settings.items():
         alike = [settings[other] for other in every if other[1] == key[1]]
         varied = [name for name in own if any(other.get(name) != own[name] for other in alike)]
-        words[key] = " ".join([key[1], *(f"{name}={own[name]}" for name in varied)])
+        words[key] = named(key[1], {name: own[name] for name in varied})
     return words
