@@ -32,7 +32,7 @@ def parser() -> Parser:
     top = Parser(
         prog="sparsefit",
         description="Estimate the mean velocity, length scale and timescale of a flow from a "
-        "flight, and choose the sparse regression back-end by study.",
+        "flight, and\nchoose the sparse regression back-end by study.",
         epilog=EXAMPLE,
     )
     top.add_argument("--version", action="version", version=f"sparsefit {__version__}")
@@ -40,7 +40,9 @@ def parser() -> Parser:
     verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb")
     for name in ("simulate", "estimate", "study", "select", "export", "backends"):
         import_module(f"sparsefit.cli.verb_{name}").add(verbs)
-    shell = Option("shell", "to complete in", extra={"choices": ("bash", "zsh", "tcsh")})
+    shell = Option(
+        "shell", "bash, zsh or tcsh", "SHELL", extra={"choices": ("bash", "zsh", "tcsh")}
+    )
     verb(verbs, "completion", completion, [shell])
     return top
 

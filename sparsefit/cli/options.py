@@ -7,7 +7,7 @@ import inspect
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn, TypeAlias
 
@@ -76,13 +76,21 @@ class Option:
         if self.read is None:
             settings.setdefault("action", "store_true")
         else:
-            names = tuple(self.metavar.upper().split())
+            names = tuple(self.metavar.split())
             settings["type"] = self._number if self.read in (float, int) else self.read
             if names:
                 settings["metavar"] = names if len(names) > 1 else names[0]
             if len(names) > 1:
                 settings["nargs"] = len(names)
         parser.add_argument(*self.flags.split(), **settings)
+
+    @property
+    def needed(self) -> str:
+        """The words of a usage, where it must be given: `STUDY`, `-o FILE`, `FOLDER ...`."""
+        extra = self.extra or {}
+        if not self.flags.startswith("-"):
+            return self.metavar + " ..." * ("nargs" in extra)
+        return f"{self.flags.split()[0]} {self.metavar}" if extra.get("required") else ""
 
     def _number(self, text: str) -> float:
         """A plain number; `4 m` is refused with the unit to drop."""
@@ -100,21 +108,27 @@ class OptionPlace(Place):
 
     def error(self, problem: str) -> InputError:
         """`--length-scale must be above 0`."""
-        return InputError(f"--{self.key.replace('_', '-')} {problem}" if self.key else problem)
+        return InputError(f"{flag(self.key)} {problem}" if self.key else problem)
 
 
 def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:
     """The option of a key of a study file, with the words of the key."""
-    sentence = words.replace("`", "").replace("%", "%%").removesuffix(" Needed.")
+    sentence = re.sub("`([a-z]+_[a-z_]+)`", lambda name: flag(name[1]), words).replace("`", "")
+    sentence = sentence.replace("%", "%%").replace(" Needed.", "")
     extra = {"default": None} if read is None else None  # as a flag that was not given
-    return Option(f"--{key.replace('_', '-')}", sentence, metavar, read, extra)
+    return Option(flag(key), sentence, metavar, read, extra)
+
+
+def flag(key: str) -> str:
+    """The option of a key, `--length-scale`."""
+    return f"--{key.replace('_', '-')}"
 
 
 def verb(
     verbs: Verbs,
     name: str,
     run: Run,
-    options: Iterable[Option] = (),
+    options: Sequence[Option] = (),
     groups: Mapping[str, Iterable[Option]] | None = None,
     about: str = "",
 ) -> Parser:
@@ -125,11 +139,13 @@ def verb(
     stand under; about: in place of the docstring.
     """
     sentence, _, below = inspect.cleandoc(about or run.__doc__ or name).partition("\n\n")
+    needed = (option.needed for option in options)
     parser = verbs.add_parser(
         name,
         help=f"{sentence[0].lower()}{sentence[1:]}".rstrip("."),
         description=sentence,
         epilog=below or f"example:\n  sparsefit study {name} studies/NAME.toml",
+        usage=None if about else " ".join(["%(prog)s", *filter(None, needed), "[OPTION ...]"]),
     )
     parser.set_defaults(run=run, parser=parser, stopped="stopped")
     # An action below does not undo a --json that stands before it.

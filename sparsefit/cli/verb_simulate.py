@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> Reply:
     from sparsefit.study.draw import KEYS, read_flight_rules
 
     check_output(args.output, force=args.force, endings=WRITTEN)
-    integer("seed", args.seed, 0)
+    integer("--seed", args.seed, 0)
     given = {name: getattr(args, name, None) for name in KEYS}
     section = {name: value for name, value in given.items() if value is not None}
     default = {name: value for name, value in DEFAULTS.items() if name not in section}
