@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli import terminal
@@ -128,6 +129,7 @@ def run_study(args: argparse.Namespace) -> Reply:
     args.stopped = f"stopped; run the same command {again}"
     study = _checked(args)
     names = ("processes", "fresh", "retry_failed", "stale", "only", "scheduler")
+    Thread(target=page.load, daemon=True).start()  # while workers compute
     with terminal.Progress() as progress:
         summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
     _warn(summary.dropped, "no longer planned by the study, and left out")

@@ -130,14 +130,14 @@ def legend(figure: Figure, every: Iterable[Axes]) -> None:
     if not handles:
         return
     ordered = sorted(handles, key=lambda name: handles[name].get_gid() == "line-others")
-    names = [name.split("\n") for name in ordered]
-    longest = max(len(line) for lines in names for line in lines)
-    columns = max(1, min(len(names), 125 // (longest + 7)))  # letters of a line of a page
-    figure.legend([handles[name] for name in ordered], ordered, loc="outside upper center",
-                  ncols=columns)  # fmt: skip
-    rows = -(-len(names) // columns)
-    lines = max(sum(map(len, names[at : at + rows])) for at in range(0, len(names), rows))
-    figure.set_figheight(figure.get_figheight() + 0.14 * lines)
+    for columns in range(min(len(ordered), 6), 0, -1):
+        shown = figure.legend([handles[name] for name in ordered], ordered,
+                              loc="outside upper center", ncols=columns)  # fmt: skip
+        size = shown.get_window_extent()
+        if columns == 1 or size.width < figure.bbox.width:
+            figure.set_figheight(figure.get_figheight() + size.height / figure.dpi)
+            return
+        shown.remove()
 
 
 def with_unit(words: str, unit: str) -> str:
@@ -187,4 +187,6 @@ def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:
         warnings.filterwarnings("ignore", "Glyph", UserWarning)
         more = metadata.get(suffix, {})
         figure.savefig(stream, format=suffix.lstrip("."), metadata=more, facecolor="white")
-    return stream.getvalue()
+    if suffix != ".svg":
+        return stream.getvalue()
+    return re.sub(rb"(\.\d{3})\d+(?=[ \"\n](?!-->))", rb"\1", stream.getvalue())  # to .001 pt

@@ -276,6 +276,7 @@ def figures(
         shown = in_words(entry.measures, of_cases=entry.compare == "ecdf")
         if entry.compare == "ecdf":
             shown = f"Share of planned cases, failures among them, with at most so much: {shown}"
-        caption = " ".join(map(sentence, (entry.title or shown, *entry.notes)))
+        bars = ("Bars: 95 % Wilson intervals",) * any(axes.collections for axes in drawing.axes)
+        caption = " ".join(map(sentence, (entry.title or shown, *entry.notes, *bars)))
         every[name] = Picture(drawing, caption)
     return every

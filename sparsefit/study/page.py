@@ -14,7 +14,7 @@ import re
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -102,6 +102,12 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
     return Drawing(title, picture.caption, vector, linear, lines)
 
 
+def load() -> None:
+    """Import what a report needs, and a run does not: a second of work."""
+    for name in ("jinja2", "matplotlib.backends.backend_svg", "pandas.io.formats.style"):
+        import_module(name)
+
+
 def check_outputs(study: Any) -> None:
     """Refuse, before anything is run, outputs that are not known.
 
@@ -162,18 +168,19 @@ def show(study: Any, cases: pd.DataFrame, *, width: int) -> str:
 
 
 def files_of(study: str, made: Mapping[str, Table], pictures: Mapping[str, Picture]) -> Files:
-    """Return every table as NAME.csv and .tex, every picture as NAME.svg, if small, and .png."""
+    """Return every table as NAME.csv and .tex, every picture as NAME.svg, or a large one as .png."""
     files: Files = {}
     for name, each in made.items():
         files[f"{name}.csv"] = each.to_csv().encode()
         files[f"{name}.tex"] = each.to_latex(f"tab:{study}-{name}").encode()
     for name, picture in pictures.items():
         if picture.figure is not None:
-            files |= {
-                f"{name}{end}": encoded(picture.figure, end, name) for end in (".svg", ".png")
-            }
-            if len(files[f"{name}.svg"]) > 1_000_000:  # too large for a repository
-                del files[f"{name}.svg"]
+            vector = encoded(picture.figure, ".svg", name)
+            is_large = len(vector) > 1_000_000  # for a repository
+            files |= (
+                {f"{name}.png": encoded(picture.figure, ".png")} if is_large
+                else {f"{name}.svg": vector}
+            )  # fmt: skip
     return files
 
 

@@ -79,9 +79,11 @@ class Panel:
 
     def draw(self, axes: Axes, words: Mapping[str, str | None]) -> None:
         """Draw the curves: those that a legend names by colour, style and marker."""
-        names, count = list(words), len(self.curves)
+        names = list(words)
         others = [curve for curve in self.curves if words[curve.name] is None]
-        for order, curve in enumerate(self.curves[: count - len(others)]):
+        named = self.curves[: len(self.curves) - len(others)]
+        drawn = np.array([np.isfinite(curve.y) for curve in named]) if self.names else None
+        for order, curve in enumerate(named):
             place, x, bars = names.index(curve.name), curve.x, self.bars_of(curve)
             turn, colour = divmod(place, len(COLOURS))
             look: dict[str, Any] = {
@@ -91,7 +93,9 @@ class Panel:
             }  # fmt: skip
             if look["ls"] == "":
                 look["marker"] = look["marker"] or "."
-                x = x + 0.5 * ((order + 0.5) / count - 0.5) if self.names else x  # side by side
+                if drawn is not None:  # side by side, those that have a point there
+                    count = np.maximum(drawn.sum(axis=0), 1)
+                    x = x + 0.5 * ((drawn[:order].sum(axis=0) + 0.5) / count - 0.5)
             if bars is not None:
                 axes.vlines(x, *bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
             axes.plot(x, curve.y, **look, label=words[curve.name])
