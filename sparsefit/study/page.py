@@ -168,7 +168,7 @@ def show(study: Any, cases: pd.DataFrame, *, width: int) -> str:
 
 
 def files_of(study: str, made: Mapping[str, Table], pictures: Mapping[str, Picture]) -> Files:
-    """Return every table as NAME.csv and .tex, every picture as NAME.svg, or a large one as .png."""
+    """Return every table as NAME.csv and .tex, every picture as NAME.svg, a large one as .png."""
     files: Files = {}
     for name, each in made.items():
         files[f"{name}.csv"] = each.to_csv().encode()
