@@ -52,6 +52,14 @@ def test_every_back_end_that_lands_anywhere_is_refined_to_the_same_scale():
     assert found[0] == pytest.approx(4.21, rel=1e-3)
 
 
+@pytest.mark.parametrize(("share", "doubt"), [(0.45, Doubt.NO_CELLS), (0.55, None)])
+def test_two_waves_are_cells_from_half_of_each_others_strength_on(share, doubt):
+    k = np.pi / 4.0 * np.array([[1.0, 1.0], [1.0, -1.0]])
+    flow = sf.flows.WaveFlow(k, [5.0, 5.0 * share], [0.0, 0.0])
+    found = estimate(fly(flow, noise=(0.1, 0.02), initial_position=(1.0, 2.0)), 2.0, 8.0)
+    assert (found.status, found.doubt) == ("unidentifiable" if doubt else "ok", doubt)
+
+
 @pytest.mark.parametrize(
     ("position", "velocity", "words"),
     [

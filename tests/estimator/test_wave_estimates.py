@@ -156,6 +156,7 @@ def test_cells_at_a_heading_are_told(turned):
     assert abs(estimate.heading - 0.3) < 4 * shape.heading < 0.05
     assert estimate.drift == (0.0, 0.0)
     assert estimate.length_scales == pytest.approx([estimate.length_scale] * 2)
+    assert shape.length_scales == pytest.approx([sure.length_scale] * 2)
     assert estimate.rungs[0].bic == 0 < estimate.rungs[1].bic
 
 
@@ -193,7 +194,7 @@ def test_two_flows_are_read_each_by_itself():
 
 def test_waves_are_read_by_hand_and_move_as_the_two_strongest():
     # Speeds |k| sqrt(a^2 + b^2) of 5, 13 and 0.6 m/s; the first two move at (2, -1) m/s
-    waves = [[-1.0, 0.0, -2.0, 3.0, 4.0], [0.0, -1.0, 1.0, 12.0, 5.0], [0.6, 0.0, 40.0, 1.0, 0.0]]
+    waves = [[-1.0, 0, -2.0, -3.0, -4.0], [0, -1.0, 1.0, -12.0, -5.0], [0.6, 0, 40.0, 1.0, 0.0]]
     speed, scale, *_, x, y = read_waves(np.array(waves))
     assert speed == pytest.approx(math.sqrt(25.0 + 169.0 + 0.36))
     assert scale == pytest.approx(math.sqrt(2.0) * math.pi)

@@ -10,7 +10,7 @@ import sparsefit as sf
 from sparsefit.likelihood import diagnosis as room
 from sparsefit.likelihood.causes import FREEDOMS
 from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
-from sparsefit.likelihood.gains import gains_of
+from sparsefit.likelihood.gains import Gain, gains_of
 from sparsefit.likelihood.goodness import Constancy, _disturbances
 from sparsefit.likelihood.model import Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
@@ -196,6 +196,30 @@ def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(like
     assert tried[1] == other
     assert tried[0].rate == pytest.approx(0.25 * likelier)
     assert tried[0].rate * tried[0].level ** 2 == pytest.approx(0.25 * 0.8**2)
+
+
+def test_another_law_of_drag_gains_beside_the_response_time(monkeypatch):
+    """Of a gain of 90, 30 are of the response time; waves around gain three times their share."""
+    asked = []
+
+    def gains(_posterior, groups):
+        asked.append(groups)
+        steps = {name: np.array([0.1, 0.02])[-len(own) :] for name, own in groups.items() if own}
+        return {(name, 0): Gain(90.0 if name == "law" else 30.0, own, own)
+                for name, own in steps.items()}  # fmt: skip
+
+    def laws(tau, *names):
+        own = {"response_time": tau}
+        return room._another_law(SimpleNamespace(names=names, value=own.get, inflation=3.0))
+
+    monkeypatch.setattr(room, "gains_of", gains)
+    (law,) = laws(0.3)
+    assert (law.free, law.size, law.share) == ("drag", (0.02,), 20.0)
+    (law,) = laws(0.3, "quadratic_drag")
+    assert (law.free, law.share) == ("response_time", 30.0)
+    assert laws(0.3, "quadratic_drag", "response_time") == []
+    assert laws(room.SLOWEST, "quadratic_drag") == []
+    assert len(asked) == 2
 
 
 def test_what_is_ambiguous_is_worked_by_hand():

@@ -21,10 +21,10 @@ from sparsefit.model.readout import (
     windows,
 )
 from sparsefit.rows import Derivative
-from tests.problems import VEHICLE, flight
+from tests.problems import VEHICLE, flight, fly
 
 GRID = LengthScaleGrid(2.0, 7.0, step=0.2)
-PLAIN = Readout()
+PLAIN, FLOW = Readout(), sf.CellularFlow(15.0, 4.2)
 
 
 def exact_weights(speed):
@@ -111,6 +111,18 @@ def test_several_scales_are_the_peaks_of_the_weights_fitted_together():
     peaks = windows(fit, 0.2, (0.5, 1.5))
     assert np.pi / peaks[0][0] == pytest.approx(4.2)
     assert all(low <= k <= high for k, low, high in peaks)
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.03, 1), (0.08, 2)])
+def test_scales_are_read_from_a_twentieth_of_the_fastest_on(share, count):
+    flow = sf.flows.SuperposedFlow((FLOW, sf.CellularFlow(15.0 * share, 6.0)))
+    samples, library = Derivative()(fly(flow, seed=7)), Library(GRID)
+    problem = library.build([samples], [VEHICLE])
+    fit = SimpleNamespace(problem=problem, weights=np.zeros((problem.columns, 2)))
+    for scale, strength in ((4.2, 1.0), (6.0, 0.5)):
+        fit.weights[8 * int(np.abs(problem.group_scales - scale).argmin())] = strength
+    readout = Readout(scales="several", refine="none")
+    assert len(read_grid(fit, [samples], [VEHICLE], library, readout)[0]) == count
 
 
 def test_waves_are_read_with_their_flow():

@@ -98,6 +98,9 @@ def test_hand_values() -> None:
     assert float(both.value(column)) == 12.0  # 5 + 7
     # (3/t - 1)_+^2 + (4/t - 1)_+^2 = 1 at t = (7 - sqrt(49 - 25)) / 1 ... : t^2 - 14 t + 25 = 0
     assert both.dual_norm(column)[0] == pytest.approx(7 - np.sqrt(24))
+    for omega, size in ((30.0, (np.sqrt(22_499) - 7) / 898), (0.1, 4 / 1.1)):  # the 3 is below t
+        nested = NestedNorms(GroupNorms(np.zeros(2, int), np.array([omega])), both.inner)
+        assert nested.dual_norm(column)[0] == pytest.approx(size)
     slope = SortedNorm(np.array([2.0, 1.0]))
     assert float(slope.value(column)) == 11.0
     assert slope.dual_norm(column)[0] == pytest.approx(7 / 3)
