@@ -6,6 +6,7 @@ A back-end of another package is trusted code, but for what it returns.
 """
 
 import dataclasses
+import math
 from time import perf_counter
 from typing import Any, get_args
 
@@ -89,7 +90,7 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
     solutions = [_received(solution, backend, problem) for solution in raw]
     problem.refuse_changes()
     penalty = backend.penalty(problem) if fractions else None
-    unit = problem.alpha_max(penalty) if penalty else float("nan")
+    unit = problem.alpha_max(penalty) if penalty else math.nan
     at = [i for i, solution in enumerate(solutions) if _finite(solution)]
     certificates = dict[int, Certificate | None]()
     if penalty and backend.certificate_kind == "duality_gap":
@@ -199,9 +200,8 @@ def _judged(
     if referee is None:
         return fast
     slow = fit(problem, referee, tolerance=tolerance)
-    better = slow.certificate is not None
-    if certificate is not None and slow.certificate is not None:
-        better = slow.certificate.value < certificate.value
+    least = math.inf if certificate is None else certificate.value
+    better = slow.certificate is not None and slow.certificate.value < least
     best = slow if better or certificate is None else fast
     seconds = fast.seconds + slow.seconds
     return dataclasses.replace(best, backend=backend, seconds=seconds, repaired=better)

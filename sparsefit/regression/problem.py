@@ -66,8 +66,12 @@ class Adjustment:
         raw, weight, roots, direction = target, None, None, None
         levels = np.zeros(target.shape[1])
         if sample_weight is not None:
-            weight = np.asarray(sample_weight, dtype=float)
-            if weight.shape != (len(target),) or not (weight >= 0).all() or not weight.sum() > 0:
+            try:
+                weight = np.asarray(sample_weight, dtype=float)
+            except (TypeError, ValueError):
+                weight = np.zeros(0)
+            usable = weight.shape == (len(target),) and np.isfinite(weight).all()
+            if not usable or weight.min() < 0 or not weight.any():
                 words = f"sample_weight must have {len(target)} numbers >= 0 that are not all 0"
                 raise InputError(words)
             roots = np.sqrt(weight / weight.mean())
@@ -83,11 +87,10 @@ class Adjustment:
 class RegressionProblem(Brief):
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
-    theta: an array in C or Fortran order, a scipy.sparse CSC matrix, a memory map or whatever else
-    has rows to slice, or an array of several workers; ``design`` has its sums. theta and target are
-    finite; norms of their columns are in [1e-140, 1e140], or 0 of a target. ``groups`` (k,) numbers
-    the group of each column, 0, 1, 2, ... without a gap; ``group_scales`` (g,) gives each group's
-    scale, where it has one. `from_arrays` makes all of this from any arrays and labels.
+    `from_arrays` makes it from any arrays and labels; ``design`` has the sums of theta's columns.
+    theta and target are finite; norms of their columns are in [1e-140, 1e140], or 0 of a target.
+    ``groups`` (k,) numbers the group of each column, 0, 1, 2, ... without a gap; ``group_scales``
+    (g,) gives each group's scale, where it has one.
     ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
     the m original ones, none of which can be taken alone. ``subgroups`` (k,): numbers, from 0, of
     smaller groups that each lie within one group, such as the waves of a ring; None without any.
