@@ -124,9 +124,10 @@ class RegressionProblem(Brief):
                 values.flags.writeable = False
                 object.__setattr__(self, name, values)
         squares = self.design.squares
-        _refuse_unfit(
-            np.where(squares == 0.0, 1.0, squares) if self.partial else squares, self.names
-        )
+        squares = np.where(squares == 0.0, 1.0, squares) if self.partial else squares
+        centred = self.adjusted is not None and self.adjusted.direction is not None
+        alike = "is constant, as the intercept is; drop it" if centred else ""
+        _refuse_unfit(squares, self.names, alike=alike)
         _ = self.digest  # of the data as they are now
         with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
             squares = np.einsum("ij,ij->j", self.target, self.target)
@@ -369,14 +370,16 @@ def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
         raise InputError(f"{name} must have labels of one kind, such as all numbers") from None
 
 
-def _refuse_unfit(squares: Array, names: Sequence[str], target: Array | None = None) -> None:
+def _refuse_unfit(
+    squares: Array, names: Sequence[str], target: Array | None = None, alike: str = ""
+) -> None:
     """Raise InputError, which names it, on a column that cannot be reckoned with.
 
-    squares (k,) of the columns' norms: NaN, infinite, above LARGEST or below SMALLEST; a column of
-    the target (m, n) may be zero.
+    squares (k,) of the columns' norms: NaN, infinite, above LARGEST or below SMALLEST, which words
+    ``alike`` explain; a column of the target (m, n) may be zero.
     """
     which, small = "", squares < SMALLEST**2
-    words = f"is zero in every sample (or below {SMALLEST:g}); drop it or change the unit"
+    words = alike or f"is zero in every sample (or below {SMALLEST:g}); drop it or change the unit"
     if target is not None:
         which, small = "of the target ", small & target.any(axis=0)
         words = f"is below {SMALLEST:g}, not 0; change the unit"

@@ -38,6 +38,11 @@ def test_bad_arrays_are_refused(theta, target, words):
         RegressionProblem.from_arrays(theta, target)
 
 
+def test_a_constant_column_beside_an_intercept_is_called_so():
+    with pytest.raises(InputError, match="column '1' is constant, as the intercept is; drop it"):
+        RegressionProblem.from_arrays(THETA * [1.0, 0.0] + [0.0, 3.0], TARGET, intercept=True)
+
+
 def test_the_message_names_the_column_and_counts_the_others():
     theta = np.ones((4, 3)) * [0.0, 1.0, 0.0]
     with pytest.raises(InputError, match=r"a.*1 more"):
