@@ -14,7 +14,7 @@ from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class Batch:
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(Protocol):
     """A kind of study: its units, its cells, and how a batch of cases is run.
 
     columns: of `cases.parquet`, but for swept factors; called: those with the names by which a user
@@ -68,12 +68,10 @@ class Experiment:
     @property
     def units(self) -> Columns:
         """The columns of the units (u,): `flight`, `unit`, `identity` and others."""
-        raise NotImplementedError
 
     @property
     def cells(self) -> Columns:
         """The columns of the cells (c,): `condition`, `candidate`, `title`, `identity`, factors."""
-        raise NotImplementedError
 
     def factors(self) -> Mapping[str, str]:
         """The role of each varied dotted key: "condition" or "candidate"."""
@@ -81,11 +79,9 @@ class Experiment:
 
     def case_id(self, unit: int, cell: int) -> str:
         """The id of a case in its row, stable whatever else the study plans."""
-        raise NotImplementedError
 
     def version(self, cell: int) -> str:
         """The code that makes the rows of a cell, here and now."""
-        raise NotImplementedError
 
     def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
         """The cases (u, c) to compute so that those ``wanted`` are comparable with the rest.
@@ -96,25 +92,23 @@ class Experiment:
 
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
         """The columns that are known of a case before it is run."""
-        raise NotImplementedError
 
     def check(self) -> None:
         """Refuse, before any work, what cannot be run here at all."""
+        return
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """The cases ``wanted`` (u, c) in batches."""
-        raise NotImplementedError
 
     def run(self, batch: Batch) -> Asking[None]:
         """Asks for workers, whose answers are sent in, and an outcome for each of the cells."""
-        raise NotImplementedError
 
     def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
         """The class of a desk by its name, and its arguments: what lives in a worker."""
-        raise NotImplementedError
 
     def end(self) -> None:
         """Let go of what a run has left, files and what its processes knew."""
+        return
 
 
 @dataclass(frozen=True, eq=False)
