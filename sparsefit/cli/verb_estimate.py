@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from sparsefit.cli.estimator_file import ALL, estimator_of
-from sparsefit.cli.options import FORCE, Option, Verbs, verb
+from sparsefit.cli.options import FORCE, PAIRS, SETTING, Option, Verbs, key_value, verb
 from sparsefit.cli.terminal import Reply, check_output
 from sparsefit.errors import InputError, one_line, told_with
 from sparsefit.whole_file import write_whole
@@ -42,6 +41,29 @@ VEHICLE = {  # the setting of a flight file that an option replaces
     "thrust_ay": Option("--thrust-ay", "thrust along y", "m/s^2", float),
     "thrust_scale": Option("--thrust-scale", "of the measured thrust ax, ay", "NUMBER", float),
 }  # fmt: skip
+
+ESTIMATOR = {  # the dotted key of an estimator: the option that sets it
+    "library.lower": Option(
+        "--grid-lower", "least length scale sought; default: 1 m", "m", float),
+    "library.upper": Option("--grid-upper", "largest one; default: 12 m", "m", float),
+    "library.step": Option("--grid-step", "between candidates; default: 0.2 m", "m", float),
+    "library.unknown": Option(
+        "--unknown", "estimated with the flow: response_time, drag, thrust_scale, "
+        "thrust_acceleration, wind", "NAME", extra={"nargs": "+"}),
+    "free": Option(
+        "--free", "measured with the flow, as a misfit names it: latency, velocity_scale, lag ...; "
+        "auto: whatever is found", "NAME", extra={"nargs": "+"}),
+    "backend.name": Option(
+        "--backend", "that picks the candidates; default: group-lasso", "NAME"),
+}  # fmt: skip
+SET = Option(
+    "--set", "any other key of [derivative], [library] or [readout] of a study file, as "
+    "library.family=waves; repeat it for more than one", "SECTION.KEY=VALUE", key_value, PAIRS,
+)  # fmt: skip
+ALL = (
+    Option("--estimator", "estimator.json, as written by sparsefit select", "FILE"),
+    *ESTIMATOR.values(), SETTING, SET,
+)  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:
@@ -138,3 +160,52 @@ def _flight(
         begin, end = (getattr(args, name) for name in ("begin", "end"))
         late = flight.time >= (flight.time[0] if begin is None else begin)
         return flight.rows(late & (flight.time <= (flight.time[-1] if end is None else end)))
+
+
+def estimator_of(args: argparse.Namespace) -> Estimator:
+    """The estimator of the options, or of the file that `--estimator` names.
+
+    Raises:
+        InputError: with the option, or with the file and its key, that is wrong.
+    """
+    from sparsefit.codec import Place
+    from sparsefit.estimator.estimator import Estimator
+    from sparsefit.estimator.saved import parts_of
+    from sparsefit.model import LengthScaleGrid
+
+    given = [option for option in ALL[1:] if getattr(args, option.dest) not in (None, [])]
+    if args.estimator is not None:
+        if given:
+            first = given[0].flags
+            raise InputError(f"{first} and --estimator cannot both be given; drop one")
+        return read_estimator(args.estimator)
+    values = {key: getattr(args, item.dest) for key, item in ESTIMATOR.items() if item in given}
+    values |= {f"backend.{key}": value for key, value in args.setting} | dict(args.set)
+
+    class TypedPlace(Place):
+        def error(self, problem: str) -> InputError:
+            key = f"{self.section}.{self.key}".strip(".").replace("library.grid.", "library.")
+            option = ESTIMATOR[key].flags if key in ESTIMATOR else f"--set {key}"
+            return InputError(f"{option} {problem}" if self.key else problem)
+
+    record: dict[str, Any] = {"library": {}, "backend": {"name": "group-lasso"}}
+    grid: dict[str, Any] = {}
+    for dotted, value in values.items():
+        section, _, key = dotted.rpartition(".")
+        of_grid = section == "library" and hasattr(LengthScaleGrid, key)
+        place = grid if of_grid else record.setdefault(section, {}) if section else record
+        place[key] = value
+    record["library"]["grid"] = grid
+    if record.get("free") == ["auto"]:
+        record["free"] = "auto"
+    return Estimator(**parts_of(record, TypedPlace("")))
+
+
+def read_estimator(path: str) -> Estimator:
+    """The estimator of a file. Raises InputError with the name of the file on anything else."""
+    from sparsefit.estimator.estimator import Estimator
+    from sparsefit.whole_file import read_whole
+
+    text = read_whole(path, most=16_000_000).decode(errors="replace")
+    with told_with(path):
+        return Estimator.from_json(text)

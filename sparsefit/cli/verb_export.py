@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Literal
 
-from sparsefit.cli.estimator_file import read_estimator
 from sparsefit.cli.options import Option, Verbs, verb
 from sparsefit.cli.terminal import Reply
+from sparsefit.cli.verb_estimate import read_estimator
 from sparsefit.errors import InputError, one_line
 from sparsefit.whole_file import write_whole
 
