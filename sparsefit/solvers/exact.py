@@ -167,8 +167,7 @@ def _along(
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples))
     if level == 0.0 or not cross.any():
         return Points.zeros(count, cross, "zero")
-    sweeps = design.kind == "sparse" and k > FEW and design.csc.nnz < 2**31 and compiled("sweeps")
-    if sweeps and type(penalty) is AbsoluteValues:
+    if isinstance(penalty, AbsoluteValues) and _descends(design, penalty):
         weights, complete, steps = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
         return Points(weights[:, :, None], complete, steps, "descent")
     single = count < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
@@ -177,6 +176,12 @@ def _along(
     own = penalty.in_units(level)
     points = _with_working_set(design, target / level, cross / level, own, alphas / level)
     return replace(points, weights=points.weights * level)
+
+
+def _descends(design: Design, penalty: Penalty) -> bool:
+    """Whether columns stay sparse, as more of them may be in use than events are quick for."""
+    large = design.kind == "sparse" and min(design.shape) > FEW and design.csc.nnz < 2**31
+    return large and type(penalty) is AbsoluteValues and bool(compiled("sweeps"))
 
 
 def _with_working_set(
@@ -287,7 +292,8 @@ def _ridge_path(
     return points
 
 
-NEAREST = 1e-11  # of the largest penalty: the smallest t that is asked for
+NEAREST = 1e-11  # of the largest penalty: the smallest t that is asked for,
+DESCENT = 1e-3  # or by descent, which takes minutes to fit exactly: points below are incomplete
 SETTLED = 1e-11  # relative excess of t^2 that ends the search
 ROUNDING = 1e-15  # of (y + |V|_1)^2: what rho^2 from Z'Z may be off by, which ends it too
 STEP = 1e-4  # relative step in t over which the derivative of rho^2 is taken
@@ -313,7 +319,7 @@ def _root_path(
     if not cross.any():
         return Points.zeros(len(alphas), cross, "zero")
     largest = float(penalty.dual_norm(cross).max())
-    least = (NEAREST * largest) ** 2
+    least = ((DESCENT if _descends(design, inner) else NEAREST) * largest) ** 2
     x = np.maximum(np.minimum(alphas, largest) ** 2, least)
     low, high = np.full(len(x), least), x.copy()
     floor, complete = np.zeros(len(x), bool), np.zeros(len(x), bool)

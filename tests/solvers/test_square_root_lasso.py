@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 import sparsefit as sf
 from sparsefit import backends
@@ -113,3 +114,18 @@ def test_an_exact_fit_that_is_certified_has_no_reason_for_doubt():
     assert (found.status, found.reason) == ("ok", "")
     assert found.solver_status.startswith("root of the scaled path")
     assert found.certificate.bound <= 1e-9
+
+
+def test_sparse_columns_that_descend_are_not_taken_to_an_exact_fit(monkeypatch):
+    rng = np.random.default_rng(2)
+    theta = sparse.random_array((30, 80), density=0.2, rng=rng, format="csc")
+    target = theta @ (np.arange(80) < 3) + 0.01 * rng.normal(size=30)
+    problem = RegressionProblem.from_arrays(theta + 0.1 * sparse.eye_array(30, 80), target)
+    backend = backends.get("square-root-lasso")
+    exact = sf.path(problem, backend, (0.5, 1e-4))
+    assert [fit.status for fit in exact.fits] == ["ok", "ok"]
+    monkeypatch.setattr("sparsefit.solvers.exact.FEW", 20)
+    first, last = backend.solve_path(problem, (0.5, 1e-4))
+    assert (first.status, last.status) == ("ok", "inaccurate")
+    assert "descent" in first.solver_status
+    np.testing.assert_allclose(first.weights, exact.fits[0].weights, atol=1e-7)
