@@ -39,8 +39,10 @@ def misfit(words: str) -> Verdict:
 
 def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[Verdict]:
     """Doubts before a flow is searched for; free: as in `doubts_of_flow`."""
-
-    phi = prepared.flow_velocity
+    phi = np.concatenate([
+        own.flow_velocity(flight.vehicle)
+        for own, flight in zip(prepared.parts, prepared.flights, strict=True)
+    ])  # fmt: skip
     samples = len(phi)
     if samples <= 20:  # they say nothing of their own noise
         yield unidentifiable(
@@ -164,7 +166,7 @@ def doubts_of_flow(
                 f"{MORE}: innovations are not white (p = {goodness.whiteness:.1g}), and no cause "
                 "explains it"
             )
-    strength = np.hypot(*result.waves[:, :2].T) * np.hypot(*result.waves[:, 3:].T)
+    strength = np.hypot(*result.waves[:, :2].T) * np.hypot(*result.waves[:, 2:4].T)
     roll = len(strength) == 2 and strength.min() < 0.5 * strength.max()
     if roll or (len(strength) != 2 and len(scales) < 2):
         yield unidentifiable(

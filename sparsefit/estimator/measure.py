@@ -4,9 +4,9 @@ Each lobe that the search proposes is a start; the likelihood decides between th
 does among shapes, causes and disturbances from there (`sparsefit.likelihood.causes`). An optimum
 whose waves have left the lobe of the proposal that they started from is not believed.
 
-Waves (k_x, k_y, omega, a, b) (j, 5) are those of psi = sum a cos(phi) + b sin(phi), phi = k.x -
-omega t; `sparsefit.model.shapes` reads cells of them, and the velocity c of the pattern solves
-k_j.c = omega_j of the two strongest. Variances are those of the waves through central differences.
+Waves (k_x, k_y, a, b, omega) (j, 5) are those of psi = sum a cos(phi) + b sin(phi), phi = k.x -
+omega t; `sparsefit.model.shapes` reads cells of them. Variances are those of the waves through
+central differences.
 """
 
 from __future__ import annotations
@@ -55,6 +55,7 @@ SLIGHT = 1e-3  # of U0 or L: a cause that moves neither by more only widens thei
 FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
 EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
 HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
+CELLS = ("length_scales", "heading")
 OF_VEHICLE = ("response_time", "drag", "thrust_scale", "thrust_acceleration", "wind")
 MOSTLY = 0.5  # of the variance of the air that waves explain, whatever a vehicle hides of them
 
@@ -75,19 +76,19 @@ class Measured:
 
     @cached_property
     def waves(self) -> Array:
-        """(k_x, k_y, omega, a, b) (j, 5) in the coordinates and the time of the flight."""
-        return self.posterior.model.pattern.about((0.0, 0.0, 0.0)).waves[:, [0, 1, 4, 2, 3]]
+        """(k_x, k_y, a, b, omega) (j, 5) in the coordinates and the time of the flight."""
+        return self.posterior.model.pattern.about((0.0, 0.0, 0.0)).waves
 
     @cached_property
     def flows(self) -> list[tuple[Array, Array]]:
-        """The values of `read_waves` of each flow, and their standard errors."""
-        parts = flows_of(self.waves[:, :2], self.waves[:, 3:])
+        """(U0, L, tau_w, L_x, L_y, heading) of each flow, and their standard errors."""
+        parts = flows_of(self.waves[:, :2], self.waves[:, 2:4])
         if len(self.waves) > 4 and not len(self.waves) % 2:  # cells of several length scales
             parts = [[j, j + 1] for j in range(0, len(self.waves), 2)]
         pattern, names = self.posterior.model.pattern, self.posterior.names
 
         def values(at: Array) -> list[Array]:
-            waves = replace(pattern, values=tuple(at.tolist())).waves[:, [0, 1, 4, 2, 3]]
+            waves = replace(pattern, values=tuple(at.tolist())).waves
             return [read_waves(waves[list(flow)]) for flow in parts]
 
         here = np.array(pattern.values)
@@ -109,9 +110,8 @@ class Measured:
         """The flows of cells, fastest first; grid: the candidates [m] in use."""
         scales = []
         for values, errors in self.flows:
-            speed, scale, timescale, *cells = values.tolist()
+            speed, scale, timescale, _, _, heading = values.tolist()
             sure = Uncertainty.of_flow((speed, scale, timescale), errors[:3].tolist())
-            heading = cells[2] if len(cells) > 2 else math.nan
             candidate = min(grid, key=lambda own: abs(own - scale))
             scales.append(ScaleEstimate(speed, scale, timescale, candidate, sure, heading))
         return tuple(sorted(scales, key=lambda own: -own.mean_velocity))
@@ -122,7 +122,7 @@ class Measured:
         """The fields of an `Estimate`, by name; several: whether several flows are sought."""
         first, posterior, waves = scales[0], self.posterior, self.waves
         pattern, least = posterior.model.pattern, min(own.bic for own in self.proposals)
-        flow = WaveFlow(waves[:, :2], waves[:, 3], waves[:, 4], waves[:, 2])
+        flow = WaveFlow(waves[:, :2], *waves.T[2:])
         uniform = tuple(posterior.value(name) for name in WIND)
         parts: dict[str, Any] = {
             name: getattr(first, name)
@@ -142,16 +142,15 @@ class Measured:
                 for own in self.proposals
             ),
         }
-        values, errors = max(self.flows, key=lambda own: float(own[0][0]))
-        if len(values) > 3:
-            (*own, x, y), (*spread, x_error, y_error) = values[3:].tolist(), errors[3:].tolist()
-            cells = {"length_scales": (own[0], own[1]), "heading": own[2], "drift": (x, y)}
-            known = {"length_scales": tuple(spread[:2]), "heading": spread[2]}
-            sure = {name: cells[name] for name in known}
+        if len(waves) > 1:
+            values, errors = max(self.flows, key=lambda own: float(own[0][0]))
+            cells = dict(zip(CELLS, [tuple(values[3:5].tolist()), float(values[5])], strict=True))
+            sure = dict(zip(CELLS, [tuple(errors[3:5].tolist()), float(errors[5])], strict=True))
             if pattern.drifting:
-                sure, known["drift"] = cells, (x_error, y_error)
-            parts |= cells | ({} if pattern.drifting else {"drift": (0.0, 0.0)})
-            parts["shape_uncertainty"] = Uncertainty.of(sure, known)
+                cells["drift"] = pattern.drift
+                sure["drift"] = posterior.error("drift_x"), posterior.error("drift_y")
+            uncertainty = Uncertainty.of(cells, sure)
+            parts |= {"drift": (0.0, 0.0)} | cells | {"shape_uncertainty": uncertainty}
         own = [flight_fields(posterior, *each) for each in enumerate(prepared.vehicles)]
         if len(own) == 1:
             parts |= own[0]
@@ -279,9 +278,9 @@ def measure_flow(
 
 def _loose(posterior: Posterior) -> bool:
     """Whether waves make no cells; cells come first, and the rest is turbulence."""
-    kx, ky, a, b, _ = posterior.model.pattern.waves.T
-    parts = flows_of(np.column_stack([kx, ky]), np.column_stack([a, b]))
-    return len(kx) % 2 == 1 or (len(kx) == 4 and len(parts) == 1)
+    waves = posterior.model.pattern.waves
+    parts = flows_of(waves[:, :2], waves[:, 2:4])
+    return len(waves) % 2 == 1 or (len(waves) == 4 and len(parts) == 1)
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
@@ -341,16 +340,8 @@ def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior)
 
 
 def read_waves(waves: Array) -> Array:
-    """U0 [m/s], L [m] and tau_w [s] of waves (j, 5); of two or more also L_x, L_y, heading, c.
-
-    (3,) of a single wave, else (8,), the velocity c (x, y) of the pattern last.
-    """
-    cells = read_cells(waves[:, :2], waves[:, 3:])
+    """U0 [m/s], L [m], tau_w [s], L_x, L_y [m] and heading [rad] of waves (j, 5); NaN of one."""
+    cells = read_cells(waves[:, :2], waves[:, 2:4])
     speed, scale = cells.mean_velocity, cells.length_scale
-    values = [speed, scale, scale / speed if speed else math.inf]
-    if len(waves) < 2:
-        return np.array(values)
-    strength = np.sum(waves[:, :2] ** 2, axis=1) * np.sum(waves[:, 3:] ** 2, axis=1)
-    two = np.argsort(-strength, kind="stable")[:2]
-    moves = np.linalg.lstsq(waves[two, :2], waves[two, 2], rcond=1e-9)[0]
-    return np.array([*values, *cells.length_scales, cells.heading, *moves])
+    timescale = scale / speed if speed else math.inf
+    return np.array([speed, scale, timescale, *cells.length_scales, cells.heading])

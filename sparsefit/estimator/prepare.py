@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from sparsefit.arrays import Array, Brief
+from sparsefit.arrays import Brief
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, told_with
 from sparsefit.flight import Flight
@@ -43,18 +43,6 @@ class Prepared(Brief):
     def vehicles(self) -> list[PointMassVehicle]:
         """The vehicles as they are believed to be."""
         return [flight.vehicle for flight in self.flights]
-
-    @cached_property
-    def flow_velocity(self) -> Array:
-        """Phi (m, 2) [m/s] at the samples, of the vehicles as they are believed to be."""
-        pairs = zip(self.parts, self.vehicles, strict=True)
-        return np.concatenate([own.flow_velocity(vehicle) for own, vehicle in pairs])
-
-    @cached_property
-    def target(self) -> Array:
-        """The columns' target, a row per sample (m, n), where the problem may be compressed."""
-        pairs = zip(self.parts, self.vehicles, strict=True)
-        return np.concatenate([self.library.response(own, vehicle) for own, vehicle in pairs])
 
     @cached_property
     def search(self) -> Search:

@@ -34,12 +34,10 @@ def record_of(text: str) -> dict[str, Any]:
     """The object that `text_of` wrote. Raises InputError on any other text."""
 
     def refused(constant: str) -> None:  # Python reads NaN and infinities, and JSON has none
-        raise InputError(f"not an estimator: {constant} is no number; write it with to_json")
+        raise ValueError(f"{constant} is no number; write it with to_json")
 
     try:
         record = json.loads(text, parse_constant=refused)
-    except InputError:
-        raise
     except (RecursionError, ValueError) as error:
         raise InputError(f"not an estimator: {error}") from None
     given = record.get("format") if isinstance(record, dict) else None

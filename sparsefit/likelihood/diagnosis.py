@@ -10,8 +10,7 @@ gains, to second order and with everything that is free already moving along,
 where the model holds. The most likely groups are fitted for good, and so are elements that walk:
 turbulence is a wind that does, a swell a gain, a coloured error of position a bias; these gain by
 a level and a rate, 2 degrees. The departure of the largest likelihood is freed before the rest is
-tested again, so that process noise is believed only where nothing else explains a flight. At the
-end a cause stays only if its estimate is significant beside all others (Wald).
+tested again, so that process noise is believed only where nothing else explains a flight.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ from sparsefit.likelihood.model import SLOWEST, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, Rung, measure
-from sparsefit.likelihood.smoother import inverted
 
 FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all groups
 FITTED = 3  # groups of the largest gains that are fitted for good
@@ -68,13 +66,14 @@ class Trial:
         """True where the diagnosis is a misfit."""
         return self.cause is not None and not self.cause.answered
 
-    def size(self, before: Posterior, after: Posterior) -> tuple[float, ...]:
-        """The change of the elements of the cause, or the level of what wanders."""
+    def suspect(self, before: Posterior, after: Posterior, chance: float, gain: float) -> Suspect:
+        """The cause, with the change of its elements or the level of what wanders."""
         assert self.cause is not None
-        if self.cause.wanders:
-            return (after.model.disturbance.levels[self.free],)
-        here, there = (own.models[max(self.flight, 1) - 1].values for own in (before, after))
-        return tuple(there[name] - here[name] for name in self.cause.elements if name in here)
+        size: tuple[float, ...] = (after.model.disturbance.levels.get(self.free, 0.0),)
+        if not self.cause.wanders:
+            here, there = (own.models[max(self.flight, 1) - 1].values for own in (before, after))
+            size = tuple(there[name] - here[name] for name in self.cause.elements if name in here)
+        return Suspect(self.cause.name, size, chance, gain, self.free, self.flight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +82,7 @@ class Diagnosis:
 
     posterior: Posterior  # with all causes freed, and the disturbances that are there
     believed: Posterior  # with the disturbances and the shape alone
-    suspects: tuple[Suspect, ...] = ()  # the causes, the most significant one first
+    suspects: tuple[Suspect, ...] = ()  # the causes, the largest gain first
     growth: tuple[float, float] = (math.nan, math.nan)  # of U0 [1/s], and its standard error
     turbulence_gain: float = 0.0  # 2 ln(likelihood ratio) of the disturbances that walk
     ambiguity: tuple[float, float] = (0.0, 0.0)  # shares by which likely causes say other U0 and L
@@ -106,8 +105,9 @@ def diagnose(
         shapes: whether a freer shape is an answer, and not a misfit.
         inside: whether an optimum is still that of the flow that was proposed.
     """
-    believed, suspects, closed, wandering = posterior, list[Suspect](), set(freed), 0.0
-    first, start, tests, gains = posterior, None, 1, dict[tuple[str, int], Gain]()
+    first = believed = posterior
+    suspects, closed, wandering = list[Suspect](), set(freed), 0.0
+    start, tests, gains = None, 1, dict[tuple[str, int], Gain]()
     rivals: list[tuple[Posterior, Posterior]] = []
     turns: list[tuple[Posterior, Posterior]] = []
 
@@ -115,75 +115,64 @@ def diagnose(
         there = fitted(logs, models, near, passes)
         return there if there is not None and usable(there) and inside(there) else None
 
-    def score(trial: Trial) -> tuple[float, Trial, Posterior | None]:
-        """The log-likelihood of a trial less 2 for each of its parameters; -inf where it fails."""
-        there = refit(trial.models, posterior)
-        if there is None or not plausible(there, first):
-            return -math.inf, trial, None
-        return there.log_likelihood - 2.0 * trial.freedom, trial, there
+    def attempts(trials: Iterable[Trial]) -> list[tuple[Trial, Posterior]]:
+        """The trials that can be, with their posteriors."""
+        pairs = [(trial, refit(trial.models, posterior)) for trial in trials]
+        return [(trial, own) for trial, own in pairs if own is not None and plausible(own, first)]
+
+    def merit(attempt: tuple[Trial, Posterior]) -> float:
+        return attempt[1].log_likelihood - 2.0 * attempt[0].freedom
 
     for _ in range(0 if posterior.exact else ROUNDS):
-        shut = closed | {name for group in ALIKE if group & closed for name in group}
-        groups = {
-            name: cause.elements
-            for name, cause in FREEDOMS.items()
-            if name not in shut and cause.words and not cause.wanders
-        }
-        gains = gains_of(posterior, groups | shape_groups(posterior.model))
-        tests, start = len(gains), posterior
+        start = posterior
+        gains = gains_of(start, groups_of(start.model, closed))
+        tests, fits = len(gains), list[tuple[Trial, Posterior]]()
         likely = [
             (name, flight, gain)
             for (name, flight), gain in sorted(gains.items(), key=lambda item: -item[1].gain)
             if tests * chance_of(gain.gain, len(gain.step)) < FALSE_ALARM
         ]
-        scored = []
-        most, needed = -math.inf, 2.0 * CHANCE  # the largest merit, and a first gain to compete
+        needed = 2.0 * CHANCE  # of a first gain, to compete
         for name, cause in FREEDOMS.items() if disturbed(start) else ():
-            if cause.wanders and name not in closed:
-                process = process_of(name, start)
-                if _scanned(start, process) > needed:
-                    scored.append(score(Trial(with_process(start.models, process), 2, cause, name)))
-                    most = max(most, scored[-1][0])
-                    needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
+            process = process_of(name, start) if cause.wanders and name not in closed else None
+            if process is not None and _scanned(start, process) > needed:
+                fits += attempts([Trial(with_process(start.models, process), 2, cause, name)])
+                most = max(map(merit, fits), default=-math.inf)
+                needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
         if likely and _releveled(start, likely[0][2].gain) > needed:
-            trials = [
+            least = max(needed, CALMER * wandering)
+            fits += attempts([
                 _freed(start.models, FREEDOMS[name], name, flight, gain)
                 for name, flight, gain in likely
-                if name in FREEDOMS
-                and _releveled(start, gain.gain) > max(needed, CALMER * wandering)
-            ][:FITTED]
+                if name in FREEDOMS and _releveled(start, gain.gain) > least
+            ][:FITTED])  # fmt: skip
             for name in dict.fromkeys(name for name, _, _ in likely if name in SHAPES):
-                trials += freer(start.models, name, answers=shapes)
-            for trial in trials:
-                merit, _, there = score(trial)
-                if trial.suspicious and wandering and there is not None:
-                    gained = 2.0 * (there.log_likelihood - start.log_likelihood)
-                    if not (there.converged and gained > CALMER * wandering):
-                        merit = -math.inf
-                scored.append((merit, trial, there))
-        merit, best, there = max(scored, key=lambda item: item[0], default=(-math.inf, None, None))
-        if best is None or there is None or not math.isfinite(merit):
+                fits += attempts(freer(start.models, name, answers=shapes))
+        enough = 2.0 * start.log_likelihood + CALMER * wandering
+        candidates = [
+            (trial, own) for trial, own in fits
+            if not (trial.suspicious and wandering)
+            or (own.converged and 2.0 * own.log_likelihood > enough)
+        ]  # fmt: skip
+        if not candidates:
             break
-        gain_of_it = 2.0 * (there.log_likelihood - posterior.log_likelihood)
+        best, there = max(candidates, key=merit)
+        gain_of_it = 2.0 * (there.log_likelihood - start.log_likelihood)
         chance = min(1.0, tests * chance_of(gain_of_it, best.freedom))
         if not chance < FALSE_ALARM:
             break
         if best.cause is not None and best.cause.wanders:
             there = _tuned(refit, there, best.free)
             wandering += gain_of_it
-        turns += [(there, posterior)] if suspects else []
+        turns += [(there, start)] if suspects else []
         if best.suspicious:
-            assert best.cause is not None
-            size = best.size(posterior, there)
-            suspects.append(
-                Suspect(best.cause.name, size, chance, gain_of_it, best.free, best.flight)
-            )
-            others = [own for _, trial, own in scored if trial.suspicious and trial is not best]
-            rivals += [(there, own) for own in others if own is not None]
+            suspects.append(best.suspect(start, there, chance, gain_of_it))
+            rivals += [
+                (there, own) for trial, own in fits if trial.suspicious and trial is not best
+            ]
         closed.add(best.free)
-        posterior = there
-        believed = believed if suspects else there
-    posterior, suspects = _significant(refit, first, posterior, suspects, tests)
+        posterior, believed = there, believed if suspects else there
+    suspects.sort(key=lambda own: -own.share)
     if posterior is not first:
         posterior = _simplest(refit, posterior)
     answers = [posterior, believed] if suspects else [posterior]
@@ -193,9 +182,8 @@ def diagnose(
     posterior, believed = answers[0], answers[-1]
     growth = posterior.value("growth"), posterior.error("growth")
     if "growth" not in posterior.names:
-        grown: dict[str, tuple[str, ...]] = {"growth": ("growth",)}
-        gains = gains if posterior is start else gains_of(posterior, grown)
-        growth = float(gains["growth", 0].step[0]), float(gains["growth", 0].error[0])
+        grown = gains if posterior is start else gains_of(posterior, {"growth": ("growth",)})
+        growth = float(grown["growth", 0].step[0]), float(grown["growth", 0].error[0])
     shares = _ambiguity(posterior, believed, rivals, turns) if suspects else (0.0, 0.0)
     walks = [own.name for own in posterior.model.disturbance.processes]
     if posterior is start and not walks:  # gains of the last round, in which nothing was found
@@ -273,35 +261,6 @@ def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: 
     return Trial(tuple(moved), len(cause.elements), cause, name, flight)
 
 
-def _significant(
-    refit: Refit, first: Posterior, posterior: Posterior, suspects: list[Suspect], tests: int
-) -> tuple[Posterior, list[Suspect]]:
-    """The posterior without causes that others have made needless, the largest first."""
-    significant = {}
-    for suspect in suspects[:-1]:  # the last one was tested beside all others
-        cause = FREEDOMS.get(suspect.free)
-        if cause is None or cause.wanders:
-            continue
-        elements, places, away = cause.elements, [], []
-        for place, (name, _, flight) in enumerate(own.partition("@") for own in posterior.names):
-            if name in elements:
-                here, there = (own.models[int(flight or 1) - 1] for own in (first, posterior))
-                places.append(place)
-                away.append(there.values[name] - here.values[name])
-        spread = inverted(posterior.information)[0][np.ix_(places, places)]
-        wald = float(np.dot(away, np.linalg.lstsq(spread, np.array(away), rcond=1e-12)[0]))
-        significant[suspect.free] = wald
-        if tests * chance_of(wald, len(places)) < FALSE_ALARM:
-            continue
-        values = {name: first.value(name) for name in elements}
-        models = [model.known(*elements).at(values) for model in posterior.models]
-        if (without := refit(models, posterior)) is not None:
-            remaining = [own for own in suspects if own is not suspect]
-            return _significant(refit, first, without, remaining, tests)
-    suspects.sort(key=lambda own: -significant.get(own.free, own.share))
-    return posterior, suspects
-
-
 def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
     """The posterior of the first simpler shape of two waves that has a lower BIC, if one has."""
     pattern, cells = posterior.model.pattern, TWO_WAVES
@@ -344,13 +303,12 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
 
     def at(factor: float) -> list[Model]:
         """The models at another rate, as strong at frequencies above."""
-        share = 1.0 / math.sqrt(factor)
-        return [
-            replace(model, disturbance=replace(model.disturbance, processes=tuple(
-                replace(own, rate=own.rate * factor, level=own.level * share)
-                if own.name == name else own for own in model.disturbance.processes)))
-            for model in posterior.models
-        ]  # fmt: skip
+        models = list[Model]()
+        for model in posterior.models:
+            own = next(own for own in model.disturbance.processes if own.name == name)
+            moved = replace(own, rate=own.rate * factor, level=own.level / math.sqrt(factor))
+            models += with_process([model], moved)
+        return models
 
     factor = max((TUNED, 1.0 / TUNED), key=lambda own: _passed(posterior, at(own), name))
     for _ in range(3):
@@ -403,13 +361,14 @@ def process_of(name: str, posterior: Posterior) -> Process:
     return Process(name, elements, level, rate)
 
 
-def with_process(models: Sequence[Model], process: Process) -> tuple[Model, ...]:
-    """The models with one more disturbance."""
-    every = [(model, (*model.disturbance.processes, process)) for model in models]
-    return tuple(
-        replace(model, disturbance=replace(model.disturbance, processes=processes))
-        for model, processes in every
-    )
+def with_process(models: Iterable[Model], process: Process) -> tuple[Model, ...]:
+    """The models with one more disturbance, or with another in place of that of its name."""
+    walking = []
+    for model in models:
+        every = {own.name: own for own in (*model.disturbance.processes, process)}
+        disturbance = replace(model.disturbance, processes=tuple(every.values()))
+        walking.append(replace(model, disturbance=disturbance))
+    return tuple(walking)
 
 
 def plausible(there: Posterior, believed: Posterior) -> bool:
@@ -439,29 +398,36 @@ def disturbed(posterior: Posterior) -> bool:
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
 
 
-def shape_groups(model: Model) -> dict[str, tuple[str, ...]]:
-    """The elements of two waves that a shape binds, by the name of their group."""
+def groups_of(model: Model, closed: set[str]) -> dict[str, tuple[str, ...]]:
+    """The elements that a cause may free, or that a shape of two waves binds, by its name.
+
+    closed: the names of what is free already.
+    """
+    shut = closed | {name for group in ALIKE if group & closed for name in group}
+    groups = {
+        name: cause.elements
+        for name, cause in FREEDOMS.items()
+        if name not in shut and cause.words and not cause.wanders
+    }
     pattern = model.pattern
-    bound = {"turn": pattern.shape != "pair", "drift": not pattern.drifting}
-    two = len(pattern.waves) == 2 and pattern.shape != "several"
-    return {name: SHAPES[name].elements for name, own in bound.items() if two and own}
+    if len(pattern.waves) == 2 and pattern.shape != "several":
+        bound = {"turn": pattern.shape != "pair", "drift": not pattern.drifting}
+        groups |= {name: SHAPES[name].elements for name, own in bound.items() if own}
+    return groups
 
 
 def freer(models: Sequence[Model], group: str, *, answers: bool) -> list[Trial]:
     """The freer shapes with the waves of given models, as trials.
 
-    Args:
-        models: that share a pattern.
-        group: "drift" or "turn".
-        answers: whether these are answers, and no causes of a misfit.
+    models share a pattern; group: "drift" or "turn"; answers: whether these are answers, and no
+    causes of a misfit.
     """
-    pattern, more = models[0].pattern, TWO_WAVES.index(models[0].pattern.shape) + 1
-    names = (pattern.shape,) if group == "drift" else TWO_WAVES[more:]
-    trials = []
-    for name in names:
+    pattern, trials = models[0].pattern, []
+    later = TWO_WAVES[TWO_WAVES.index(pattern.shape) + 1 :]
+    for name in (pattern.shape,) if group == "drift" else later:
         there: StreamPattern = pattern.reshaped(name, group == "drift" or pattern.drifting)
-        cause = group if group == "drift" or name == "square" else "stretch"
+        cause = SHAPES[group if group == "drift" or name == "square" else "stretch"]
         moved = tuple(replace(model, pattern=there) for model in models)
-        more = len(there.values) - len(pattern.values)
-        trials.append(Trial(moved, more, None if answers else SHAPES[cause]))
+        freedom = len(there.values) - len(pattern.values)
+        trials.append(Trial(moved, freedom, None if answers else cause))
     return trials

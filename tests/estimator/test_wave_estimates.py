@@ -192,13 +192,14 @@ def test_two_flows_are_read_each_by_itself():
     assert all(" heading " in line and line.endswith(" degrees") for line in told)
 
 
-def test_waves_are_read_by_hand_and_move_as_the_two_strongest():
-    # Speeds |k| sqrt(a^2 + b^2) of 5, 13 and 0.6 m/s; the first two move at (2, -1) m/s
-    waves = [[-1.0, 0, -2.0, -3.0, -4.0], [0, -1.0, 1.0, -12.0, -5.0], [0.6, 0, 40.0, 1.0, 0.0]]
-    speed, scale, *_, x, y = read_waves(np.array(waves))
+def test_waves_are_read_by_hand():
+    # Speeds |k| sqrt(a^2 + b^2) of 5, 13 and 0.6 m/s; the cells are those of the first two
+    waves = [[-1.0, 0, -3.0, -4.0, -2.0], [0, -1.0, -12.0, -5.0, 1.0], [0.6, 0, 1.0, 0, 40.0]]
+    speed, scale, time, x, y, heading = read_waves(np.array(waves))
     assert speed == pytest.approx(math.sqrt(25.0 + 169.0 + 0.36))
-    assert scale == pytest.approx(math.sqrt(2.0) * math.pi)
-    assert (x, y) == pytest.approx((2.0, -1.0))
+    assert (scale, x, y) == pytest.approx((math.sqrt(2.0) * math.pi,) * 3)
+    assert time == pytest.approx(scale / speed)
+    assert abs(heading) == pytest.approx(0.25 * math.pi)
 
 
 def test_waves_are_loose_but_for_cells_of_one_flow_or_of_two():
