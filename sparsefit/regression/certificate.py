@@ -189,7 +189,8 @@ def _gaps(
     gamma = rounding_of(design.terms + 2 * used * n + 20)
     values = np.ascontiguousarray(scaled.transpose(1, 0, 2)).reshape(k, count * n)
     rest = np.tile(target, (1, count)) - design.predict(values)
-    bound = np.tile(loss.bound(level), count)
+    reach = loss.bound(target)
+    bound = np.tile(reach, count)
     pull = rest if np.isinf(bound).all() else np.clip(rest, -bound, bound)
     overlap = np.einsum("iq,iq->q", pull, rest).reshape(count, n) / design.samples
     rho = design.spread * rounding_of(used + 8) * (level + np.abs(scaled).sum(axis=1))
@@ -201,7 +202,7 @@ def _gaps(
         moved = np.sqrt(square + loose) - np.sqrt(np.maximum(square - loose, 0.0))
         doubt, whole = np.sqrt(total) * moved, total
     else:
-        cut = np.clip(target, -loss.bound(level), loss.bound(level))
+        cut = np.clip(target, -reach, reach)
         null = np.einsum("it,it->t", cut, target - 0.5 * cut) / design.samples
         doubt, whole = 0.5 * loose, float(np.minimum(null, 0.5 * level**2).sum())
     doubt, whole = doubt + gamma * primal, whole or 1.0

@@ -27,19 +27,24 @@ from sparsefit.arrays import Array
 class Squares:
     """Half the mean square, |R|^2/2m; with a finite ``clip`` Huber's loss.
 
-    clip: c, in units of the target's rms y: residuals beyond c y count linearly.
+    clip: c, in units of the size s_t = 1.48 median |Y_t| of each target, the standard deviation of
+    normal values, which a few outliers do not change: residuals beyond c s_t count linearly.
     """
 
     clip: float = np.inf
     coupled: ClassVar[bool] = False
 
-    def bound(self, level: Array) -> Array:
-        """The largest |u| (n,) for targets of rms ``level`` (n,)."""
-        return np.where(level > 0, self.clip * np.where(level > 0, level, 1.0), np.inf)
+    def bound(self, target: Array) -> Array:
+        """The largest |u| (n,) for targets (m, n); by their rms where more than half are 0."""
+        if np.isinf(self.clip):
+            return np.full(target.shape[1], np.inf)
+        size = 1.4826 * np.median(np.abs(target), axis=0)
+        size = np.where(size > 0, size, np.sqrt(np.mean(np.square(target), axis=0)))
+        return np.where(size > 0, self.clip * size, np.inf)
 
-    def pull(self, residual: Array, level: Array, samples: int) -> Array:
-        """The u (m, n) of a residual R (m, n), with targets of rms ``level`` (n,)."""
-        reach = self.bound(level)
+    def pull(self, residual: Array, target: Array) -> Array:
+        """The u (m, n) of a residual R (m, n), with targets (m, n)."""
+        reach = self.bound(target)
         return np.clip(residual, -reach, reach)
 
     def primal(self, square: Array, overlap: Array, level: Array) -> Array:
@@ -65,10 +70,9 @@ class RootSquares(Squares):
 
     coupled: ClassVar[bool] = True
 
-    def pull(self, residual: Array, level: Array, samples: int) -> Array:
-        size = float(np.linalg.norm(residual)) / np.sqrt(samples) or 1.0
-        scaled: Array = residual * (np.sqrt(np.sum(level**2)) / size)
-        return scaled
+    def pull(self, residual: Array, target: Array) -> Array:
+        size = float(np.linalg.norm(residual)) or 1.0
+        return residual * (float(np.linalg.norm(target)) / size)
 
     def primal(self, square: Array, overlap: Array, level: Array) -> Array:
         value: Array = np.sqrt(np.sum(level**2)) * np.sqrt(square.sum(axis=1))

@@ -230,8 +230,7 @@ class RegressionProblem(Brief):
         """The smallest alpha whose solution is zero: the dual norm of Z'u/m of the target's u."""
         cross = self.statistics.cross
         if np.isfinite(penalty.loss.clip):
-            level = np.sqrt(self.statistics.target_square)
-            cross = self.design.correlate(penalty.loss.pull(self.target, level, self.samples))
+            cross = self.design.correlate(penalty.loss.pull(self.target, self.target))
         return alpha_max(cross, penalty)
 
     @property

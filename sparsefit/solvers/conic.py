@@ -63,7 +63,6 @@ class Clarabel:
         if reason := self.takes(penalty):
             raise InputError(reason)
         weights = np.zeros((len(alphas), penalty.columns, target.shape[1]))
-        level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
         whole = isinstance(penalty, SquaredNorm) or penalty.restricted(np.arange(1)) is None
         in_play = np.full(penalty.columns, whole)
         # Asked for 1e-12, cone programs of groups end almost solved, some at a gap of 1e-7.
@@ -77,7 +76,7 @@ class Clarabel:
                 if in_play.all() or not np.isfinite(values).all():
                     break
                 rest = target - design.predict(values)
-                pull = design.correlate(penalty.loss.pull(rest, level, design.samples))
+                pull = design.correlate(penalty.loss.pull(rest, target))
                 excess = np.where(in_play, -1.0, penalty.objections(pull, values, alpha))
                 worst = np.argsort(-excess)[: max(BATCH, len(index) // 2)]
                 joining = worst[excess[worst] > 1e-10]
@@ -228,7 +227,7 @@ class Cvxpy:
             residual = matrix @ variable - scaled
             parts = [
                 cvxpy.sum(cvxpy.huber(residual[:, t], float(reach))) / (2 * samples)
-                for t, reach in enumerate(loss.bound(level))
+                for t, reach in enumerate(loss.bound(scaled))
             ]
             objective = cvxpy.sum(cvxpy.hstack(parts))
         if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit

@@ -36,11 +36,12 @@ def outlier_path(
     root, points = np.sqrt(m), Points.zeros(len(alphas), cross, "newton, an outlier for each row")
     wide = np.hstack([design.columns(np.arange(k)), np.eye(m) * root])
     levels = np.sqrt(np.square(target).sum(axis=0) / design.samples)
+    reach = penalty.loss.bound(target)
     for t in np.flatnonzero(levels):
         y = target[:, [t]] / levels[t]
         pull, values = wide.T @ y / design.samples, np.zeros((k + m, 1))
         for i, alpha in enumerate((alphas / levels[t]).tolist()):
-            price = float(penalty.loss.clip) * root / (design.samples * alpha)
+            price = float(reach[t] / levels[t]) * root / (design.samples * alpha)
             weights = np.concatenate([penalty.weights, np.full(m, price)])
             on = Columns(AbsoluteValues(weights), pull, design.samples, None, wide)
             values, gap, steps = settled(on, alpha, values, STOP)

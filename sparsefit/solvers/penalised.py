@@ -194,9 +194,9 @@ class SquareRootLasso(PenalisedPath):
 
 @dataclass(frozen=True)
 class HuberLasso(PenalisedPath):
-    """Huber's loss of Y - ZV plus alpha sum |V_jt|: outliers beyond clip * y count linearly.
+    """Huber's loss of Y - ZV plus alpha sum |V_jt|: outliers beyond clip * s_t count linearly.
 
-    clip: in units of the rms y of each target. BIC, which counts squares, does not apply.
+    clip: in units of s_t = 1.48 median |Y_t| of each target. BIC, of squares, does not apply.
     """
 
     name: ClassVar[str] = "huber-lasso"

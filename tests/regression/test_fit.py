@@ -13,6 +13,7 @@ from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.losses import Squares
 from sparsefit.regression.penalties import alpha_max, lasso_penalty
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.penalised import Lasso
@@ -242,3 +243,20 @@ def test_a_gap_that_rounding_may_hide_is_not_proven():
     assert found.status == "inaccurate"
     assert "more that rounding may hide, above tolerance" in found.reason
     assert not found.repaired
+
+
+@pytest.mark.parametrize("outlier", [3.0, 1e3])
+def test_one_gross_outlier_does_not_move_the_weights_of_hubers_loss(outlier):
+    theta = regular(targets=1).theta[:, :4]
+    target = theta @ [1.0, -2.0, 0.0, 0.5]
+    target[7] = outlier * np.abs(target).max()
+    fit = sf.fit(theta, target, "huber-lasso", alpha_fraction=1e-3)
+    assert fit.status == "ok"
+    np.testing.assert_allclose(fit.weights.ravel(), [1.0, -2.0, 0.0, 0.5], atol=0.1)
+
+
+def test_the_size_of_a_target_that_is_mostly_zero_is_its_rms():
+    loss, target = Squares(clip=2.0), np.zeros((8, 2))
+    target[0] = 4.0, 0.0
+    assert loss.bound(target).tolist() == [2.0 * 2.0**0.5, np.inf]
+    assert loss.bound(np.arange(-2.0, 3.0)[:, None]) == pytest.approx([2.0 * 1.4826])
