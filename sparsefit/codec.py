@@ -111,7 +111,7 @@ def text(value: object, place: Place) -> str:
 def mapping(value: object, place: Place) -> Mapping[str, object]:
     """Named values: an object of JSON, a table of TOML."""
     if not isinstance(value, Mapping):
-        raise place.error(f"must be an object, not {shown(value)}")
+        raise place.error(f"must be an object or a table, not {shown(value)}")
     return value
 
 

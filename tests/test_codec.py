@@ -73,7 +73,7 @@ def test_lists_become_tuples_and_one_item_needs_no_list():
         ({"name": "a", "tail": 1}, '[craft] key "tail" must be true or false, not 1'),
         ({"kind": "gilder"}, 'key "kind" has unknown value \'gilder\': did you mean "glider"?'),
         ({"kind": True}, 'key "kind" has unknown value True (known: drone, glider)'),
-        ({"wing": 3}, '[craft] key "wing" must be an object, not 3'),
+        ({"wing": 3}, '[craft] key "wing" must be an object or a table, not 3'),
         ({"wing": {"spam": 1}}, '[craft.wing] key "spam" unknown: did you mean "span"?'),
         ({"wing": {"span": "2"}}, "[craft.wing] key \"span\" must be a number, not '2'"),
         ({"wing": {"span": True}}, '[craft.wing] key "span" must be a number, not True'),

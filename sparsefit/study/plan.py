@@ -197,7 +197,7 @@ class Plan:
             "candidates": list(dict.fromkeys(cells["title"])),
             "levels": {key: len(set(map(str, cells[key]))) for key in self.experiment.factors()},
             "cases": self.size,
-            **definition.outputs.names,
+            **{kind: names for kind, names in definition.outputs.names.items() if names},
         }
 
     def frame(self) -> pd.DataFrame:
