@@ -315,9 +315,7 @@ def _near(waves: Array, others: Array, near: float) -> bool:
 
 def _apart(posterior: Posterior, other: Posterior) -> float:
     """The larger of the relative differences of U0 and L."""
-    here, there = posterior.model.pattern, other.model.pattern
-    speeds = there.mean_velocity / here.mean_velocity
-    return max(abs(speeds - 1), abs(there.length_scale / here.length_scale - 1))
+    return max(map(abs, posterior.model.pattern.apart(other.model.pattern)))
 
 
 def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> float:

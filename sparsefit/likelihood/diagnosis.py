@@ -108,8 +108,7 @@ def diagnose(
     first = believed = posterior
     suspects, closed, wandering = list[Suspect](), set(freed), 0.0
     start, tests, gains = None, 1, dict[tuple[str, int], Gain]()
-    rivals: list[tuple[Posterior, Posterior]] = []
-    turns: list[tuple[Posterior, Posterior]] = []
+    rivals: list[tuple[Posterior, Posterior, bool]] = []
 
     def refit(models: Sequence[Model], near: Posterior, passes: int = PASSES) -> Posterior | None:
         there = fitted(logs, models, near, passes)
@@ -164,11 +163,11 @@ def diagnose(
         if best.cause is not None and best.cause.wanders:
             there = _tuned(refit, there, best.free)
             wandering += gain_of_it
-        turns += [(there, start)] if suspects else []
+        rivals += [(there, start, True)] if suspects else []
         if best.suspicious:
             suspects.append(best.suspect(start, there, chance, gain_of_it))
             rivals += [
-                (there, own) for trial, own in fits if trial.suspicious and trial is not best
+                (there, own, False) for trial, own in fits if trial.suspicious and trial is not best
             ]
         closed.add(best.free)
         posterior, believed = there, believed if suspects else there
@@ -184,7 +183,7 @@ def diagnose(
     if "growth" not in posterior.names:
         grown = gains if posterior is start else gains_of(posterior, {"growth": ("growth",)})
         growth = float(grown["growth", 0].step[0]), float(grown["growth", 0].error[0])
-    shares = _ambiguity(posterior, believed, rivals, turns) if suspects else (0.0, 0.0)
+    shares = _ambiguity(posterior, believed, rivals) if suspects else (0.0, 0.0)
     walks = [own.name for own in posterior.model.disturbance.processes]
     if posterior is start and not walks:  # gains of the last round, in which nothing was found
         hints = [
@@ -207,31 +206,24 @@ def _releveled(start: Posterior, gain: float) -> float:
 
 
 def _ambiguity(
-    posterior: Posterior,
-    believed: Posterior,
-    rivals: Sequence[tuple[Posterior, Posterior]],
-    turns: Sequence[tuple[Posterior, Posterior]],
+    posterior: Posterior, believed: Posterior, rivals: Sequence[tuple[Posterior, Posterior, bool]]
 ) -> tuple[float, float]:
     """The shares by which U0 and L differ between causes that are not told apart.
 
     Process noise that remains beside a cause is a misfit that no cause explains: likelihoods that
     differ by less than it gains say nothing of which cause is right. Where a cause is not all that
-    departs from the model, both may stand for a third: a flow is as sure as before and after agree.
-    The model has a lag l to first order: the second is l (1/(tau - l) + |k.v|/2) of it, and may
-    move a flow by as much.
+    departs from the model, both may stand for a third: a flow is as sure as before and after agree
+    (rivals that are marked, whatever their likelihoods). The model has a lag l to first order: the
+    second is l (1/(tau - l) + |k.v|/2) of it, and may move a flow by as much.
     """
-    unexplained, alike = max(posterior.evidence, CHANCE), [(*pair, 1.0) for pair in rivals]
-    alike = [own for own in alike if own[1].log_likelihood > own[0].log_likelihood - unexplained]
+    unexplained = max(posterior.evidence, CHANCE)
     lag, turning = abs(posterior.value("lag")), math.pi / posterior.model.pattern.length_scale
     rate = 1.0 / abs(posterior.value("response_time") - lag)
     second = lag * (rate + 0.5 * turning * posterior.legs[0].log.speed)
-    shares = [(0.0, 0.0)]
-    turned = ((*pair, 1.0) for pair in turns)
-    for best, other, share in (*alike, *turned, (posterior, believed, second)):
-        here, there = best.model.pattern, other.model.pattern
-        speeds = there.mean_velocity / here.mean_velocity
-        lengths = there.length_scale / here.length_scale
-        shares.append((share * abs(speeds - 1), share * abs(lengths - 1)))
+    shares = [second * np.abs(posterior.model.pattern.apart(believed.model.pattern))]
+    for best, other, marked in rivals:
+        if marked or other.log_likelihood > best.log_likelihood - unexplained:
+            shares.append(np.abs(best.model.pattern.apart(other.model.pattern)))
     speed, length = np.max(shares, axis=0).tolist()
     return speed, length
 

@@ -69,12 +69,9 @@ def _moves(posterior: Posterior, steps: dict[str, float]) -> tuple[float, float]
     """The shares by which U0 and L move with steps of the free parameters, to first order."""
     pattern, nudge = posterior.model.pattern, 1e-6
     values = zip(pattern.names, pattern.values, strict=True)
-    moved = replace(
-        pattern, values=tuple(value + nudge * steps.get(name, 0.0) for name, value in values)
-    )
-    speeds = moved.mean_velocity / pattern.mean_velocity
-    lengths = moved.length_scale / pattern.length_scale
-    return (speeds - 1.0) / nudge, (lengths - 1.0) / nudge
+    moved = tuple(value + nudge * steps.get(name, 0.0) for name, value in values)
+    speed, length = pattern.apart(replace(pattern, values=moved))
+    return speed / nudge, length / nudge
 
 
 def chance_of(gain: float, freedom: int) -> float:

@@ -138,6 +138,11 @@ class StreamPattern:
         kx, ky = self.waves[:, :2].T
         return math.pi * math.sqrt(2.0 / float(np.mean(kx**2 + ky**2)))
 
+    def apart(self, other: StreamPattern) -> tuple[float, float]:
+        """The shares by which U0 and L of another pattern are larger."""
+        speeds = other.mean_velocity / self.mean_velocity
+        return speeds - 1.0, other.length_scale / self.length_scale - 1.0
+
     def reshaped(self, shape: str, drifting: bool = False) -> StreamPattern:
         """Return these waves in another shape, about the same origin."""
         kx, ky, a, b, _ = self.waves.T

@@ -234,11 +234,11 @@ def test_what_is_ambiguous_is_worked_by_hand():
 
     share = 0.02 * (10.0 + np.pi)
     own = flow(10.0, 4.0)
-    assert room._ambiguity(own, flow(9.0, 4.4), (), ()) == pytest.approx((0.1 * share, 0.1 * share))
-    rivals = [(own, flow(10.5, 3.8, -4.0)), (own, flow(20.0, 8.0, -6.0))]
-    assert room._ambiguity(own, flow(9.0, 4.2), rivals, ()) == pytest.approx((0.05, 0.05))
-    turns = [(own, flow(9.2, 4.8, -99.0))]  # what was found beside a cause, however likely
-    assert room._ambiguity(own, flow(9.0, 4.2), rivals, turns) == pytest.approx((0.08, 0.2))
+    assert room._ambiguity(own, flow(9.0, 4.4), ()) == pytest.approx((0.1 * share, 0.1 * share))
+    rivals = [(own, flow(10.5, 3.8, -4.0), False), (own, flow(20.0, 8.0, -6.0), False)]
+    assert room._ambiguity(own, flow(9.0, 4.2), rivals) == pytest.approx((0.05, 0.05))
+    rivals += [(own, flow(9.2, 4.8, -99.0), True)]  # what was found beside a cause, however likely
+    assert room._ambiguity(own, flow(9.0, 4.2), rivals) == pytest.approx((0.08, 0.2))
 
 
 def test_disturbances_are_those_within_the_band_of_the_flow():
