@@ -7,7 +7,6 @@ is like another: they are not compared.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,25 +15,23 @@ import pandas as pd
 
 from sparsefit.errors import InputError
 from sparsefit.study.columns import PARAMETERS
-from sparsefit.study.entries import grouped
-from sparsefit.study.measures import factors, measure, numbers
+from sparsefit.study.measures import factors, numbers
 from sparsefit.study.table import Table, significant
 
 TOLERANCE = 1e-6  # of a number: what changed by less is the same
-SIDES = ("first", "second")
+COUNTS = ("changed", "in status", "lost")
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The cases that both runs have, row by row, and how many only one has.
+    """The cases that both runs have, as the first has them, and how many only one has.
 
-    sides: the cases of either run. cases: `change`, the largest relative change of a number [%],
+    cases: with the columns `status, second`; `change`, the largest relative change of a number [%],
     infinite where one run has none; `in status`, whether the status is another; `changed`, whether
     anything is; `lost`, whether an answer is no more.
     """
 
     names: tuple[str, str]
-    sides: list[pd.DataFrame]
     cases: pd.DataFrame
     only: tuple[int, int]
 
@@ -51,58 +48,43 @@ class Comparison:
         return (
             f"{self.cases['changed'].sum()} of {len(self.cases)} cases changed, "
             f"{self.cases['in status'].sum()} of them in status; the largest change is "
-            f"{significant(_largest(self.cases))} %{''.join(only)}."
+            f"{significant(_largest(self.cases['change']))} %{''.join(only)}."
         )
 
     @property
     def tables(self) -> dict[str, Table]:
         """The settings of which a case changed, and those cases, the largest change first."""
-        sides, first = dict(zip(SIDES, self.sides, strict=True)), self.sides[0]
-        of_problems, rows, words = "objective" in first, list[dict[str, Any]](), dict[Any, str]()
-        each = measure("mean holdout-error" if of_problems else "mean timescale-size")
-        names = ["objective", "solver"] if of_problems else ["protocol", "label", *factors(first)]
-        for backend, texts in first.groupby("backend")["settings"]:
-            every = {text: json.loads(text) for text in texts.unique()}
-            varied = [key for key in next(iter(every.values()))
-                      if len({str(own.get(key)) for own in every.values()}) > 1]  # fmt: skip
-            words |= {(backend, text): ", ".join(f"{key}={own.get(key)}" for key in varied)
-                      for text, own in every.items()}  # fmt: skip
-        for key, places in grouped(first, [*names, "backend", "settings"]):
-            here = self.cases.iloc[places]
-            errors = {f"{each.phrase} [%], {name}": each.summary_of(each.read(side)[places])
-                      for name, side in sides.items()}  # fmt: skip
-            if here["changed"].any():
-                rows.append({
-                    **dict(zip(names, key, strict=False)), "settings": words[key[-2:]],
-                    "n": len(places), **here[["changed", "in status", "lost"]].sum(),
-                    "largest change [%]": _largest(here), **errors,
-                })  # fmt: skip
-        settings = pd.DataFrame(rows).dropna(axis=1, how="all")
-        notes = [f"{name}: {run}" for name, run in zip(SIDES, self.names, strict=True)]
-        settings.attrs.update(title="Settings of which cases changed", notes=["; ".join(notes)])
-        changes = pd.DataFrame({
-            "case": first["case_id"], names[1]: first[names[1]],
-            **{f"status, {name}": side["status"] for name, side in sides.items()},
-            "change [%]": self.cases["change"],
-        })[self.cases["changed"]]  # fmt: skip
+        cases = self.cases
+        names = ["objective", "solver"] if "objective" in cases else ["protocol", "label"]
+        for name in (*factors(cases), "settings"):  # what the others do not say already
+            if cases.groupby(names, dropna=False)[name].nunique(dropna=False).max() > 1:
+                names.append(name)
+        groups = cases.groupby(names, sort=False, dropna=False)
+        settings = groups.size().to_frame("n").join(groups[[*COUNTS]].sum())
+        settings["largest change [%]"] = groups["change"].agg(_largest)
+        settings = settings[settings["changed"] > 0]
+        settings.attrs = {"title": "Settings of which cases changed",
+                          "notes": ["first: {}; second: {}".format(*self.names)]}  # fmt: skip
+        shown = ["case_id", names[1], "status", "status, second", "change"]
+        changes = cases.loc[cases["changed"], shown].rename(columns={"change": "change [%]"})
         changes = changes.sort_values("change [%]", ascending=False, kind="stable")
         changes.attrs["title"] = "Cases that changed"
         return {"settings": Table.of(settings), "changes": Table.of(changes)}
 
     def record(self) -> dict[str, Any]:
         """Return the comparison as JSON has it."""
-        counted = {"changed": "changed", "restated": "in status", "lost": "lost"}
+        counts = self.cases[[*COUNTS]].sum().tolist()
         return {
             "summary": self.sentence, "cases": len(self.cases),
-            **{key: int(self.cases[name].sum()) for key, name in counted.items()},
+            **dict(zip(("changed", "restated", "lost"), counts, strict=True)),
             "only": list(self.only),
             "tables": {name: each.record() for name, each in self.tables.items()},
         }  # fmt: skip
 
 
-def _largest(cases: pd.DataFrame) -> float:
-    """Return the largest finite change [%]."""
-    return float(cases["change"][np.isfinite(cases["change"])].max() if len(cases) else 0.0)
+def _largest(change: pd.Series) -> float:
+    """Return the largest finite change [%]; 0 of none."""
+    return float(change[np.isfinite(change)].max()) if np.isfinite(change).any() else 0.0
 
 
 def compare(
@@ -132,9 +114,11 @@ def compare(
     gone = np.isnan(pair)
     moved[gone.any(axis=0)] = np.inf
     moved[gone.all(axis=0)] = 0.0
-    before, after = (side["status"].to_numpy() for side in sides)
-    cases = pd.DataFrame({"in status": before != after, "change": 100.0 * moved.max(axis=0)})
-    cases["changed"] = cases["in status"] | (cases["change"] > 100.0 * tolerance)
-    cases["lost"] = ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0)
-    only = len(first) - len(shared), len(second) - len(shared)
-    return Comparison(names, sides, cases, only)
+    before, after = (side["status"] for side in sides)
+    change, restated = 100.0 * moved.max(axis=0), before != after
+    cases = sides[0].assign(**{
+        "status, second": after, "change": change, "in status": restated,
+        "changed": restated | (change > 100.0 * tolerance),
+        "lost": ((before == "ok") & (after != "ok")) | (~gone[0] & gone[1]).any(axis=0),
+    })  # fmt: skip
+    return Comparison(names, cases, (len(first) - len(shared), len(second) - len(shared)))

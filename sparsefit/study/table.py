@@ -241,34 +241,35 @@ class Table:
 
         Numbers are never cut: columns that do not fit follow in a further block behind the names.
         """
-        import pandas as pd
-
-        words = [is_text and not column.group
-                 for is_text, column in zip(self.is_text, self.columns, strict=True)]  # fmt: skip
-        names = min([*words, False].index(False), len(self.columns) - 1)
-        room = max(12, int(0.6 * width / max(names, 1)))
-        columns = list[Sequence[str]]()
-        heads = [column.heading for column in self.columns]
-        for place, texts in enumerate(zip(heads, *self.texts(most), strict=True)):
+        is_name = [is_text and not column.group
+                   for is_text, column in zip(self.is_text, self.columns, strict=True)]  # fmt: skip
+        names = max(1, min([*is_name, False].index(False), len(self.columns) - 1))
+        has_groups, printed = any(column.group for column in self.columns), list[list[str]]()
+        rows = [[column.heading for column in self.columns], *self.texts(most)]
+        needed = [
+            max(map(len, texts)) for texts in zip(*(row[:names] for row in rows), strict=True)
+        ]
+        fitting = (size for size in range(width, 12, -1)
+                   if sum(min(letters, size) for letters in needed) <= 0.6 * width)  # fmt: skip
+        room = next(fitting, 12)
+        for place, (column, *texts) in enumerate(zip(self.columns, *rows, strict=True)):
             letters = room if place < names else width // 2
             begin, end = letters // 2, (letters - 1) // 2
             short = [text if len(text) <= letters else f"{text[:begin]}…{text[-end:]}"
                      for text in texts]  # fmt: skip
             is_told_apart = place >= names or len(set(short)) == len(set(texts))
-            columns.append(short if is_told_apart else texts)
-        every = [list(row) for row in zip(*columns, strict=True)]
-        sizes = [max(map(len, texts)) for texts in columns]
-        behind = ["  ".join(map(str.ljust, row[:names], sizes)) for row in every]
-        groups = [column.group for column in self.columns[names:]]
-        levels = [groups, every[0][names:]] if any(groups) else [every[0][names:]]
-        frame = pd.DataFrame([row[names:] for row in every[1:]], behind[1:], levels)
-        frame.columns.names = ["", behind[0]][-len(levels) :]
-        with pd.option_context("display.unicode.east_asian_width", True,
-                               "display.multi_sparse", False):  # fmt: skip
-            text = frame.to_string(line_width=width, max_colwidth=None).replace(" \\\n", "\n")
-        body = re.sub(r"^\n|\n(?=\n\n)", "", re.sub(r" +$", "", text, flags=re.MULTILINE))
+            lines = [*[column.group] * has_groups, *(short if is_told_apart else texts)]
+            justify, size = str.ljust if place < names else str.rjust, max(map(len, lines))
+            printed.append([justify(text, size) for text in lines])
+        behind = list(map("  ".join, zip(*printed[:names], strict=True)))
+        blocks = [behind]
+        for lines in printed[names:]:
+            if blocks[-1] is not behind and len(blocks[-1][0]) + 2 + len(lines[0]) > width:
+                blocks.append(behind)
+            blocks[-1] = list(map("  ".join, zip(blocks[-1], lines, strict=True)))
+        body = ["\n".join(map(str.rstrip, block)).lstrip("\n") for block in blocks]
         notes = [textwrap.fill(note, width) for note in self.remarks(most)]
-        return "\n\n".join([self.title, body, *notes]) + "\n"
+        return "\n\n".join([self.title, *body, *notes]) + "\n"
 
     def __str__(self) -> str:
         return self.to_text()

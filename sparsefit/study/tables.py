@@ -101,36 +101,31 @@ def summarised(entry: Entry, cases: pd.DataFrame, parts: Sequence[Part], names: 
 
 
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return a row per group: planned, answered, and each measure, with its interval if asked."""
-    every = entry.measures
+    """Return a row per group: planned, answered, and each measure, with its interval if asked.
+
+    With `along`, the factor of a pivot, a measure has a column per level of it.
+    """
+    every, title, names = entry.measures, entry.title, list(entry.rows or ROWS)
     parts = [Part(column_of(each), each.values(cases), each, entry.interval) for each in every]
-    notes = [sentence(in_words([each for each in every if each.miss is not None]))]
+    said = [each for each in every if each.miss is not None or entry.along]
+    if entry.along:
+        words, levels = entries.factor_words(entry.along), entries.levels_of(cases, entry.along)
+        parts = [
+            part._replace(column=replace(part.column, name=level, group=words),
+                          values=measures.only((levels == level).to_numpy(), part.values))
+            for part in parts for level in levels.cat.categories
+        ]  # fmt: skip
+        title = title or f"{sentence(every[0].phrase)[:-1]} along {words}"
+        if not entry.rows:  # a title may have several protocols
+            names = [name for name in ("protocol", *ROWS[1:]) if name in cases]
+            is_told = not cases[names].drop_duplicates()["title"].duplicated().any()
+            names = names[-1:] if is_told else names
+    notes = [sentence(in_words(said))]
     if entry.interval:
         drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole flights"
         notes.append(f"{drawn}; a share of single cases: Wilson's.")
-    return summarised(entry, cases, [*_counts(cases), *parts], (), notes)
-
-
-def protocols(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return a row per group and a column per level of the factor `along`, of the first measure."""
-    each, words = entry.measures[0], entries.factor_words(entry.along)
-    levels, values = entries.levels_of(cases, entry.along), each.values(cases)
-    rows, both = entry.rows or ROWS[1:], ["protocol", *ROWS[1:]]
-    if (
-        not entry.rows
-        and "protocol" in cases
-        and len(cases[both].drop_duplicates()) > (cases["title"].nunique())
-    ):
-        rows = tuple(both)  # a title has several
-    parts = [
-        Part(replace(column_of(each), name=level, group=words),
-             measures.only((levels == level).to_numpy(), values), each)
-        for level in levels.cat.categories
-    ]  # fmt: skip
-    titled = replace(entry, title=entry.title or f"{sentence(each.phrase)[:-1]} along {words}")
-    notes = [sentence(in_words([each]))]
-    names = name_columns(cases, rows)
-    return summarised(titled, cases, [*_counts(cases), *parts], names, notes)
+    parts = [*_counts(cases), *parts]
+    return summarised(replace(entry, title=title), cases, parts, name_columns(cases, names), notes)
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -183,7 +178,7 @@ def single(entry: Entry, cases: pd.DataFrame) -> Table:
 
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
     "settings": settings,
-    "protocols": protocols,
+    "protocols": settings,
     "status": status,
     "coverage": coverage,
     "parameters": single,
