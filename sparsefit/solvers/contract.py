@@ -24,7 +24,7 @@ def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
         return list(_faults(backend, problem))
     except ModuleNotFoundError as error:
         return [one_line(f"it needs the package {error.name!r}, which is not installed")]
-    except Exception as error:  # whatever it raises is the last fault
+    except Exception as error:  # of code of others, or of what it returned: the last fault
         return [one_line(f"raises {type(error).__name__}: {error}")]
 
 
