@@ -346,10 +346,10 @@ def _matrix(values: ArrayLike, name: str) -> Array:
 
 def _labels(table: Any, count: int) -> Sequence[Any]:
     """The names of the columns of a frame, or that of a series; numbers of any other array."""
-    if not hasattr(table, "to_numpy"):
-        return range(count)
-    name = getattr(table, "name", None)
-    return getattr(table, "columns", range(count) if name is None else [name])
+    if hasattr(table, "to_numpy") and hasattr(table, "columns"):
+        return list(table.columns)
+    name = getattr(table, "name", None) if hasattr(table, "to_numpy") and count == 1 else None
+    return range(count) if name is None else [name]
 
 
 def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:

@@ -58,6 +58,12 @@ def test_columns_of_a_frame_are_taken_by_their_names():
     assert list(sf.fit(frame, pd.Series(target[:, 0], name="u"), "lasso").to_frame()) == ["u"]
     assert list(sf.fit(frame, pd.Series(target[:, 0]), "lasso").to_frame()) == ["0"]
 
+    class Named(np.ndarray):  # as of packages whose arrays of any shape have a name
+        name, to_numpy = "whole", np.asarray
+
+    posed = sf.RegressionProblem.from_arrays(theta.view(Named), target.view(Named))
+    assert (posed.names, posed.target_names) == (("0", "1", "2", "3"), ("0", "1"))
+
 
 @pytest.mark.parametrize("name", ["lasso", "least-squares", "stlsq", "group-omp"])
 def test_weights_and_an_intercept_go_with_arrays(name):
