@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sparsefit.arrays import Brief
 from sparsefit.codec import finite_or_none
 from sparsefit.flight.waves import FlowField
+from sparsefit.likelihood.causes import FREEDOMS
 from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
 from sparsefit.regression.certificate import Certificate
 from sparsefit.rows import Repairs
+
+if TYPE_CHECKING:
+    from sparsefit.flight.vehicle import PointMassVehicle
+    from sparsefit.likelihood.posterior import Posterior
 
 Pair = tuple[float, float]
 FINEST = 1e-6  # of a standard error: below it, more digits say nothing
@@ -111,6 +118,25 @@ class FlightEstimate:
     #: of one of several flights the level of its noise over that of all: its rows count for one
     #: over the square of it
     noise: float = math.nan
+
+
+def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) -> dict[str, Any]:
+    """The fields of `FlightEstimate` that a posterior tells of one of its flights, a vehicle's."""
+    leg, suffix = posterior.legs[place], f"@{place + 1}" if place else ""
+    steady = not np.ptp(leg.nodes.push, axis=0).any()  # what was logged is in no element
+    base = {"thrust_acceleration": believed.thrust_acceleration} if steady else {}
+    shares = {"drag": 1.0 / leg.model.values["response_time"]}
+    values, errors, absent = dict[str, Any](), dict[str, Any](), dict[str, None]()
+    for name in (item.name for item in fields(FlightEstimate) if item.name in FREEDOMS):
+        own, share = FREEDOMS[name].elements, shares.get(name, 1.0)
+        absent |= {name: None, f"{name}_interval{'s' * (len(own) > 1)}": None}
+        if own[0] in leg.model.names:
+            pairs = zip(base.get(name, (0.0, 0.0)), own, strict=False)
+            value = tuple(b + share * leg.model.values[element] for b, element in pairs)
+            error = tuple(share * posterior.error(element + suffix) for element in own)
+            values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
+    sure = Uncertainty(absent | Uncertainty.of(values, errors)) if values else None
+    return values | {"agreement": Agreement.of(leg.model), "vehicle_uncertainty": sure}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

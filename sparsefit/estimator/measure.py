@@ -24,10 +24,10 @@ from sparsefit.estimator.estimate import (
     FlightEstimate,
     RungEstimate,
     ScaleEstimate,
+    flight_fields,
 )
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight.flow import SuperposedFlow
-from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
 from sparsefit.likelihood.diagnosis import (
@@ -37,7 +37,7 @@ from sparsefit.likelihood.diagnosis import (
     process_of,
     with_process,
 )
-from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
+from sparsefit.likelihood.goodness import Constancy, Goodness, Uncertainty
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern
@@ -56,7 +56,6 @@ FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
 EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
 HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
 CELLS = ("length_scales", "heading")
-OF_VEHICLE = ("response_time", "drag", "thrust_scale", "thrust_acceleration", "wind")
 MOSTLY = 0.5  # of the variance of the air that waves explain, whatever a vehicle hides of them
 
 
@@ -165,25 +164,6 @@ class Measured:
             for rows, noise, goodness, each in flights
         )
         return parts
-
-
-def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) -> dict[str, Any]:
-    """The fields of `FlightEstimate` that a posterior tells of one of its flights, a vehicle's."""
-    leg, suffix = posterior.legs[place], f"@{place + 1}" if place else ""
-    steady = not np.ptp(leg.nodes.push, axis=0).any()  # the logged thrust is in no element
-    base = {"thrust_acceleration": believed.thrust_acceleration} if steady else {}
-    shares = {"drag": 1.0 / leg.model.values["response_time"]}
-    values, errors, absent = dict[str, Any](), dict[str, Any](), dict[str, None]()
-    for name in OF_VEHICLE:
-        own, share = FREEDOMS[name].elements, shares.get(name, 1.0)
-        absent |= {name: None, f"{name}_interval{'s' * (len(own) > 1)}": None}
-        if own[0] in leg.model.names:
-            pairs = zip(base.get(name, (0.0, 0.0)), own, strict=False)
-            value = tuple(b + share * leg.model.values[element] for b, element in pairs)
-            error = tuple(share * posterior.error(element + suffix) for element in own)
-            values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
-    sure = Uncertainty(absent | Uncertainty.of(values, errors)) if values else None
-    return values | {"agreement": Agreement.of(leg.model), "vehicle_uncertainty": sure}
 
 
 def measure_flow(
