@@ -60,6 +60,8 @@ Attempts = dict[float, Array]
 """V (j, q) by penalty: the last that was accepted, whose penalty is the largest, and later ones."""
 Kernel = Callable[[Columns, Array, Attempts, float], Points]
 """A path at further penalties (p,), descending, from attempts, to a relative gap."""
+Improved = Callable[[float, Array], tuple[Array, float, int]]
+"""Weights (j, q) nearer to the optimum at a penalty than a start, their relative gap, and steps."""
 BEGIN: float = np.inf
 """The penalty of an attempt of zeros: the start of a path."""
 
@@ -70,10 +72,6 @@ def compiled(name: str) -> Any:
         return import_module(f"sparsefit.solvers.{name}")
     except ImportError:
         return None
-
-
-def _nearest(attempts: Attempts, alpha: float) -> Array:
-    return attempts[min(attempts, key=lambda each: abs(each - alpha))]
 
 
 def homotopy(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
@@ -103,13 +101,25 @@ def homotopy(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Poi
     return Points(values, complete, steps)
 
 
-def newton(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
-    """Any penalty, by proximal points, each started from the penalty before."""
-    values, points = attempts[max(attempts)], Points.zeros(len(alphas), on.cross)
+def _each(
+    on: Columns, alphas: Array, attempts: Attempts, stop: float, improved: Improved
+) -> Points:
+    """The points from the nearest attempts; Newton's method ends what ``improved`` leaves."""
+    attempts, points = dict(attempts), Points.zeros(len(alphas), on.cross)
     for i, alpha in enumerate(alphas.tolist()):
-        values, gap, points.steps[i] = settled(on, alpha, values, stop)
-        points.weights[i], points.complete[i] = values, gap <= stop
+        start = attempts[min(attempts, key=lambda each: abs(each - alpha))]
+        values, gap, points.steps[i] = improved(alpha, start)
+        if gap > stop:
+            values, gap, taken = settled(on, alpha, values, stop)
+            points.steps[i] += taken
+        attempts[alpha] = points.weights[i] = values
+        points.complete[i] = gap <= stop
     return points
+
+
+def newton(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
+    """Any penalty, by proximal points."""
+    return _each(on, alphas, attempts, stop, lambda alpha, start: (start, np.inf, 0))
 
 
 def variational(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
@@ -124,12 +134,13 @@ def variational(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> 
     sources = compiled("variances")
     problem = sources.Groups(np.ascontiguousarray(gram), np.ascontiguousarray(pull.T), starts)
     search = sources.Search(problem, norms * weights / alpha, stop)  # |W_g| = eta_g alpha there
-    points = Points.zeros(len(alphas), on.cross)
-    with np.errstate(all="ignore"):  # what breaks is caught by the gap, not by warnings
-        for i, alpha in enumerate(alphas.tolist()):
-            solved, gap, points.steps[i] = search.minimised(alpha)
-            points.weights[i], points.complete[i] = solved.T / scale, gap <= stop
-    return points
+
+    def improved(alpha: float, start: Array) -> tuple[Array, float, int]:
+        with np.errstate(all="ignore"):  # what breaks is caught by the gap, not by warnings
+            values, gap, spent = search.minimised(alpha)
+        return values.T / scale, gap, spent
+
+    return _each(on, alphas, attempts, stop, improved)
 
 
 def _groups(penalty: Penalty) -> tuple[GroupNorms, IntArray, Array]:
@@ -147,7 +158,7 @@ def block_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float) -
     of their own, G = R'R. Newton's method ends what takes too many sweeps, as columns are alike.
     Source: Bertrand and Massias, "Anderson acceleration of coordinate descent" (AISTATS 2021).
     """
-    penalty, attempts, inner = on.penalty, dict(attempts), np.zeros(len(on.cross))
+    penalty, inner = on.penalty, np.zeros(len(on.cross))
     (_, starts, weights), (rows, target, samples) = _groups(penalty), on.roots()
     square, sizes = np.einsum("ij,ij->j", rows, rows) / samples, np.diff(starts)
     if isinstance(penalty, NestedNorms):
@@ -155,29 +166,30 @@ def block_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float) -
         parts = [rows[:, part] for part in starmap(slice, pairwise(starts))]
         steepest = [np.linalg.eigvalsh(part.T @ part)[-1] for part in parts]
         square = np.repeat(np.array(steepest) / samples, sizes)
-    points, most = Points.zeros(len(alphas), on.cross), MOST
     trail = [np.empty((EXTRAPOLATED + 2, *part.shape)) for part in (on.cross.T, target)]
     sweep, blocks = compiled("sweeps").descend_groups, np.repeat(np.arange(len(sizes)), sizes)
+    most = MOST
 
     def height_of(values: Array, residual: Array, alpha: float) -> float:
         square = float(np.vdot(residual, residual)) / samples
         return 0.5 * square + alpha * float(penalty.value(values.T))
 
-    for i, alpha in enumerate(alphas.tolist()):
-        values = _nearest(attempts, alpha).T
-        residual = target - values @ rows.T
+    def improved(alpha: float, start: Array) -> tuple[Array, float, int]:
+        nonlocal most
+        values, residual, steps = start.T, target - start.T @ rows.T, 0
+        limits = alpha * weights, alpha * inner
         while True:
             pull = (residual @ rows).T / samples
             if on.gram is not None:  # of which R may have lost digits
                 pull = on.cross - on.times(values.T)
             gap = relative_gap(on, alpha, values.T, pull)
-            if gap <= stop or points.steps[i] >= most:
-                break
-            points.steps[i] += 1 + EXTRAPOLATED
+            if gap <= stop or steps >= most:
+                most = MOST if gap <= stop else 0
+                return values.T, gap, steps
+            steps += 1 + EXTRAPOLATED
             trail[0][0], trail[1][0] = values, residual
             used = (values.T != 0.0) | (penalty.prox(values.T + pull, alpha) != 0.0)
             used = np.unique(blocks[used.any(axis=1)])
-            limits = alpha * weights, alpha * inner
             sweep(rows, starts, used, *limits, square, samples, *trail)
             moves = np.diff(trail[0][1:], axis=0).reshape(EXTRAPOLATED, -1)
             products = moves @ moves.T
@@ -186,14 +198,8 @@ def block_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float) -
             values, residual = (np.tensordot(share / share.sum(), part[2:], 1) for part in trail)
             if height_of(values, residual, alpha) > height_of(trail[0][-1], trail[1][-1], alpha):
                 values, residual = (part[-1].copy() for part in trail)
-        values = values.T
-        if gap > stop:
-            values, gap, taken = settled(on, alpha, values, stop)
-            points.steps[i] += taken
-            most = 0
-        attempts[alpha] = points.weights[i] = values
-        points.complete[i] = gap <= stop
-    return points
+
+    return _each(on, alphas, attempts, stop, improved)
 
 
 def cluster_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
@@ -204,36 +210,28 @@ def cluster_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float)
     """
     assert isinstance(on.penalty, SortedNorm)
     assert on.gram is not None
-    gram, attempts, x = (
-        np.ascontiguousarray(on.gram),
-        dict(attempts),
-        np.cos(np.arange(len(on.gram))),
-    )
+    gram, x = np.ascontiguousarray(on.gram), np.cos(np.arange(len(on.gram)))
     for _ in range(POWERS):  # of an x that is not orthogonal to what opposite columns share
         x = gram @ (x / np.linalg.norm(x))
-    step, sweep = 1.0 / (1.05 * np.linalg.norm(x)), compiled("sweeps").descend_clusters
-    points = Points.zeros(len(alphas), on.cross)
-    for i, alpha in enumerate(alphas.tolist()):
-        values, gap = _nearest(attempts, alpha), np.inf
-        price = alpha * np.concatenate([[0.0], np.cumsum(on.penalty.weights)])
+    step, sweep = 1.0 / (1.05 * float(np.linalg.norm(x))), compiled("sweeps").descend_clusters
+    penalty, sums = on.penalty, np.concatenate([[0.0], np.cumsum(on.penalty.weights)])
+
+    def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
+        gap, rounds = np.inf, 0
         for rounds in range(CLUSTERED):
-            points.steps[i] = rounds
             pull = on.cross - on.times(values)
             gap = relative_gap(on, alpha, values, pull)
             if gap <= stop:
                 break
-            values = on.penalty.prox(values + step * pull, step * alpha)
+            values = penalty.prox(values + step * pull, step * alpha)
             pull = on.cross - on.times(values)
-            going = sweep(gram, price, pull[:, 0], values[:, 0], SWEEPS) or rounds >= ALIKE
+            going = sweep(gram, alpha * sums, pull[:, 0], values[:, 0], SWEEPS) or rounds >= ALIKE
             while going:
                 values, met = towards_clusters_optimum(on, alpha, values)
                 going = met and rounds >= ALIKE
-        if gap > stop:
-            values, gap, taken = settled(on, alpha, values, stop)
-            points.steps[i] += taken
-        attempts[alpha] = points.weights[i] = values
-        points.complete[i] = gap <= stop
-    return points
+        return values, gap, rounds
+
+    return _each(on, alphas, attempts, stop, improved)
 
 
 KERNELS: dict[str, Kernel] = {
