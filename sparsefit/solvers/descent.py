@@ -57,18 +57,11 @@ class Walk:
 
     def _descend(self, limits: Array, ridge: float, columns: IntArray, stop: float) -> None:
         design, matrix = self.design, self.design.csc
-        steps, shift = import_module("sparsefit.solvers.sweeps").descend(
-            *(
-                matrix.data,
-                matrix.indices,
-                matrix.indptr,
-                columns,
-                self.scale,
-                design.means,
-                limits,
-            ),
-            *(ridge, float(design.samples), self.residual, self.values, stop, SWEEPS),
-        )
+        sweep = import_module("sparsefit.solvers.sweeps").descend
+        theta = (matrix.data, matrix.indices, matrix.indptr)
+        ours = (columns, self.scale, design.means, limits, ridge, float(design.samples))
+        state = (self.residual, self.values)
+        steps, shift = sweep(*theta, *ours, *state, stop, SWEEPS)
         self.steps += steps
         if design.direction is not None:
             self.residual -= shift * design.direction

@@ -266,11 +266,7 @@ def _whole(penalty: Penalty, columns: IntArray, most: int) -> IntArray:
 
 
 def _ridge_path(
-    design: Design,
-    target: Array,
-    penalty: Penalty,
-    alphas: Array,
-    statistics: Statistics,
+    design: Design, target: Array, penalty: Penalty, alphas: Array, statistics: Statistics
 ) -> Points:
     """(G + mu I)^-1 Z'Y/m at each mu = alpha rho, by the smaller of Z'Z and Z Z'."""
     (m, k), rows, cross = design.shape, None, statistics.cross
@@ -301,11 +297,7 @@ ROUNDS = 60
 
 
 def _root_path(
-    design: Design,
-    target: Array,
-    penalty: Penalty,
-    alphas: Array,
-    statistics: Statistics,
+    design: Design, target: Array, penalty: Penalty, alphas: Array, statistics: Statistics
 ) -> Points:
     """The points by a safeguarded search for each root x = t^2 of x = (alpha/y)^2 rho^2(t).
 
@@ -337,7 +329,8 @@ def _root_path(
         steps[at] += points.steps.sum()
         values[at], words, solved = here, points.words, points.complete[back][: len(at)]
         size = penalty.norm(here)
-        misfit = np.array([_mean_square(design, target, each) for each in here])
+        misfit = np.array([np.square(target - design.predict(v)).sum() for v in here])
+        misfit /= design.samples
         rate = np.maximum((penalty.norm(there) - size) / (STEP * np.sqrt(x[at])), 0.0)
         excess, bent = x[at] - slope[at] * misfit, 1.0 - slope[at] * rate
         newton = np.where(bent > 0, x[at] - excess / np.where(bent > 0, bent, 1.0), 0.0)
@@ -358,8 +351,3 @@ def _root_path(
         complete[at] = (near | narrow) & ~gone & solved
         is_open[at] = ~(near | narrow | gone) & solved
     return Points(values, complete, steps, f"root of the scaled path; {words}")
-
-
-def _mean_square(design: Design, target: Array, values: Array) -> float:
-    residual = target - design.predict(values)
-    return float(np.einsum("iq,iq->", residual, residual)) / design.samples

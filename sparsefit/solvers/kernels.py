@@ -21,12 +21,7 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms, in_order
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
-from sparsefit.solvers.newton import (
-    Columns,
-    relative_gap,
-    settled,
-    towards_clusters_optimum,
-)
+from sparsefit.solvers.newton import Columns, relative_gap, settled, towards_clusters_optimum
 
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 DESCENDED = 1e-9  # that of descent, which converges linearly
