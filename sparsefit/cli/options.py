@@ -107,8 +107,9 @@ class OptionPlace(Place):
     """The option that a refusal names."""
 
     def error(self, problem: str) -> InputError:
-        """`--length-scale must be above 0`."""
-        return InputError(f"{flag(self.key)} {problem}" if self.key else problem)
+        """`--length-scale must be above 0`, keys in the words as options, too."""
+        words = re.sub(r"(?<!['\"\w])[a-z]+_[a-z_]+", lambda name: flag(name[0]), problem)
+        return InputError(f"{flag(self.key)} {words}" if self.key else words)
 
 
 def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:

@@ -33,7 +33,8 @@ def emit(reply: Reply, *, as_json: bool) -> None:
     if as_json:
         print(json.dumps(reply.record, indent=2, allow_nan=False, ensure_ascii=False))
     else:
-        print("\n".join(rows(entries(reply.record)) if reply.lines is None else reply.lines))
+        lines = rows(entries(reply.record)) if reply.lines is None else reply.lines
+        print("\n".join(lines).removeprefix("\n"))
     sys.stdout.flush()
 
 

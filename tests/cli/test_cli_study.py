@@ -266,7 +266,7 @@ def test_select_says_what_binds_where_nothing_keeps_the_constraints(capsys, fini
         (("--max-failure", "2"), "--max-failure must be at least 0"),
         (("--check", "1000000000"), "--check must be at least 0 and at most 100000"),
         (("--max-failure", "2%"), '"2%" is not a number'),
-        (("--max-memory", "90"), "max_memory needs it"),
+        (("--max-memory", "90"), "--max-memory needs it"),
         (("-o", "small.toml"), "small.toml exists; add --force"),
         (("-o", "nowhere/e.json"), "cannot write nowhere/e.json"),
         (("-o", "small.toml/e.json"), "cannot write small.toml/e.json"),
