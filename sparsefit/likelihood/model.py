@@ -17,6 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, suggestion
+from sparsefit.likelihood.causes import WIND
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
 from sparsefit.likelihood.reference import ELEMENTS, StateSpace
 
@@ -37,7 +38,8 @@ class Process:
         name: the name of the level.
         elements: the names of the elements.
         level: the stationary rms in the elements' unit; of a random walk, per sqrt(s).
-        rate: beta [1/s] of u' = -beta u + level sqrt(2 beta) white; 0: a random walk.
+        rate: beta [1/s] of u' = -beta u + level sqrt(2 beta) white; 0: a random walk. Of a wind it
+            is that at the rms speed: gusts change with the way through them (`Model.space`).
     """
 
     name: str
@@ -169,8 +171,12 @@ class Model:
         """Return the model with these elements known, at their values."""
         return replace(self, freed=tuple(name for name in self.freed if name not in names))
 
-    def space(self, names: Iterable[str] = ()) -> StateSpace:
-        """Return the state space, with sensitivities by named parameters."""
+    def space(self, names: Iterable[str] = (), track: Array | None = None) -> StateSpace:
+        """Return the state space, with sensitivities by named parameters.
+
+        Gusts are a field that the vehicle flies through: a wind that wanders does so at the rate
+        beta sqrt(|v - c|^2 + level^2) over its rms along the track (m, n); c: the pattern's drift.
+        """
         disturbance, order = self.disturbance, list(ELEMENTS)
         walkers = [
             (order.index(name), process.rate, process.level**2, level)
@@ -182,9 +188,17 @@ class Model:
         kicks[0, 2:4] = disturbance.acceleration**2
         noise[1, :2] = disturbance.position_noise**2
         noise[2, 2:] = disturbance.velocity_noise**2
-        for state, (_, rate, variance, level) in enumerate(walkers, 4):
+        pace = np.ones((0 if track is None else len(track), states))
+        for state, (place, rate, variance, level) in enumerate(walkers, 4):
             kicks[level, state] = 2.0 * rate * variance if rate else variance
             spread[level, state] = variance if rate else 0.0
+            if track is not None and rate and order[place] in WIND:
+                speeds = np.hypot(*(track[:, 2:4] - self.pattern.drift).T)
+                speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
+                squares = speeds**2 + variance + 1e-300
+                pace[:, state] = np.sqrt(squares / squares.mean())
         places = np.array([walker[0] for walker in walkers], dtype=np.intp)
         rates = np.array([walker[1] for walker in walkers], dtype=np.float64)
-        return StateSpace(self.elements, places, rates, self.jacobian(names), kicks, spread, noise)
+        return StateSpace(
+            self.elements, places, rates, self.jacobian(names), kicks, spread, noise, pace
+        )

@@ -127,7 +127,8 @@ cdef struct Step:
 
 cdef void transition(
     const double* elements, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t w, Py_ssize_t p,
-    const double* rates, double time, double start, double step, const double* push,
+    const double* rates, const double* pace, double time, double start, double step,
+    const double* push,
     const double* track, double* full, Force* force, Step* result,
 ) noexcept nogil:
     """One step of Runge and Kutta's fourth order with its derivatives; `ids` are walkers first."""
@@ -156,7 +157,7 @@ cdef void transition(
         for i in range(w):
             full[ids[i]] = elements[ids[i]]
         for i in range(w):
-            result.fading[i] = exp(-rates[i] * reach) if rates[i] != 0.0 else 1.0
+            result.fading[i] = exp(-rates[i] * pace[i] * reach) if rates[i] != 0.0 else 1.0
             full[ids[i]] += result.fading[i] * track[4 + i]
         acceleration(
             full, waves, ids, w + p, state, time + reach, time + reach - start,
@@ -229,7 +230,7 @@ def forward(
 ):
     """Filter a block of nodes, as `reference.forward` does; rows and sums change in place."""
     cdef Vector elements = space.elements, rates = np.append(space.rates, 0.0), time = nodes.time
-    cdef Matrix kicks = space.kicks, noise = space.noise
+    cdef Matrix kicks = space.kicks, noise = space.noise, pace = space.pace
     cdef Matrix push = nodes.push, measured = nodes.measured, weights = nodes.weights
     cdef Matrix adjoint = track if last is None else last.adjoint
     cdef Matrix scores = track if last is None else last.scores
@@ -301,13 +302,13 @@ def forward(
             break
         dt = time[i + 1] - time[i]
         transition(
-            &elements[0], waves, &ids[0], w, moving, &rates[0], time[i], time[0], dt, &push[i, 0],
-            &track[i, 0], &full[0], &force, &step,
+            &elements[0], waves, &ids[0], w, moving, &rates[0], &pace[i, 4], time[i], time[0], dt,
+            &push[i, 0], &track[i, 0], &full[0], &force, &step,
         )
         for k in range(n):
             for j in range(levels):
-                rows[k, c + j] += 0.5 * dt * kicks[j, k] * adjoint[i, n + k]
-            rows[k, k] += 0.5 * dt * kick[k]
+                rows[k, c + j] += 0.5 * dt * pace[i, k] * kicks[j, k] * adjoint[i, n + k]
+            rows[k, k] += 0.5 * dt * pace[i, k] * kick[k]
         for k in range(n):  # F times P, delta and V
             memset(&fresh[k, 0], 0, width * sizeof(double))
             fresh[k, n] = step.following[k] - track[i + 1, k]
@@ -324,10 +325,10 @@ def forward(
                     fresh[k, j] * step.fading[j - 4]
                 )
                 rows[j, k] = rows[k, j]
-            rows[k, k] += 0.5 * dt * kick[k]
+            rows[k, k] += 0.5 * dt * pace[i, k] * kick[k]
             memcpy(&rows[k, n], &fresh[k, n], (width - n) * sizeof(double))
             for j in range(levels):
-                rows[k, c + j] += 0.5 * dt * kicks[j, k] * adjoint[i + 1, k]
+                rows[k, c + j] += 0.5 * dt * pace[i, k] * kicks[j, k] * adjoint[i + 1, k]
             if k < 2:  # the first half kick has too much of the position
                 excess = dt / 6.0 * step.slope[k][2 + k] * step.slope[k][2 + k]
                 rows[k, k] -= excess * kick[2 + k]
@@ -347,7 +348,7 @@ def backward(
 ):
     """Run the adjoint through a block backwards, as `reference.backward` does."""
     cdef Vector rates = space.rates, time = nodes.time, noise = np.sum(space.noise, axis=0)
-    cdef Matrix weights = nodes.weights
+    cdef Matrix weights = nodes.weights, pace = space.pace
     cdef double[:, ::1] smoothed = result.track, adjoint = result.adjoint, scores = result.scores
     cdef Py_ssize_t n = carried.shape[1], q = change.shape[0], c = n + q, i, j, k, channel
     _room(n, q, 0)
@@ -372,13 +373,13 @@ def backward(
                 dt = time[i + 1] - time[i]
                 slope = saved + stored.shape[1] - 4 * n
                 for k in range(n):
-                    sums[k, 0] += 0.5 * dt * r[k] * r[k]
-                    sums[k, 1] += 0.5 * dt * cov[k][k]
+                    sums[k, 0] += 0.5 * dt * pace[i, k] * r[k] * r[k]
+                    sums[k, 1] += 0.5 * dt * pace[i, k] * cov[k][k]
                     if k < 2:
                         part = dt / 6.0 * slope[k * n + 2 + k] * slope[k * n + 2 + k]
                         sums[2 + k, 0] -= part * r[k] * r[k]
                         sums[2 + k, 1] -= part * cov[k][k]
-                    fade[k] = exp(-rates[k - 4] * dt) if k >= 4 else 0.0
+                    fade[k] = exp(-rates[k - 4] * pace[i, k] * dt) if k >= 4 else 0.0
                     new[k] = fade[k] * r[k]
                 for k in range(n):  # N F, then F' times it
                     for j in range(n):
@@ -394,8 +395,8 @@ def backward(
                         for channel in range(4):
                             part += slope[channel * n + k] * half[channel][j]
                         cov[k][j] = cov[j][k] = part
-                    sums[k, 0] += 0.5 * dt * r[k] * r[k]
-                    sums[k, 1] += 0.5 * dt * cov[k][k]
+                    sums[k, 0] += 0.5 * dt * pace[i, k] * r[k] * r[k]
+                    sums[k, 1] += 0.5 * dt * pace[i, k] * cov[k][k]
             memcpy(&adjoint[i, n], r, n * sizeof(double))
             memset(&scores[i, 0], 0, 12 * sizeof(double))
             for channel in range(3, -1, -1):

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -86,6 +86,7 @@ class StateSpace:
         kicks: the variance per second that each level gives to each state (l, n).
         spread: the variance that each level gives to each state at the start (l, n).
         noise: the variance that each level gives to each channel (l, 4): position, velocity.
+        pace: by which rates and kicks of each state are multiplied in the step from a node (m, n).
     """
 
     elements: Array
@@ -95,6 +96,7 @@ class StateSpace:
     kicks: Array
     spread: Array
     noise: Array
+    pace: Array
 
 
 def force(elements: Array, state: Array, time: Array, push: Array, start: float = 0.0) -> Array:
@@ -125,7 +127,7 @@ def following(
     steps = np.diff(time)
     speed = total = np.zeros((4, len(steps)))
     for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-        fading = np.exp(-np.outer(space.rates, share * steps))
+        fading = np.exp(-share * steps * (space.rates * space.pace[: len(steps), 4:]).T)
         full = np.repeat(elements[:, None], len(steps), axis=1).astype(states.dtype)
         np.add.at(full, space.walkers, fading * states[4:])
         here = states[:4] + share * steps * speed
@@ -171,7 +173,7 @@ def transitions(
     moved, slopes = derived(
         lambda e, s: following(space, time, push, e, s, start), space, track[:-1].T
     )
-    fading = np.exp(-np.outer(steps, space.rates))
+    fading = np.exp(-steps[:, None] * space.rates * space.pace[: len(steps), 4:])
     matrices, inputs = np.zeros((len(steps), n, n)), np.zeros((len(steps), n, space.chain.shape[1]))
     matrices[:, :4], inputs[:, :4] = slopes[:, :, :n], slopes[:, :, n:]
     matrices[:, range(4, n), range(4, n)] = fading
@@ -205,7 +207,7 @@ def forward(
     n, p = track.shape[1], space.chain.shape[1]
     c, half = n + 1 + p, np.diag_indices(n)
     part = slice(first, min(end + 1, len(nodes.time)))
-    time, along = nodes.time[part], track[part]
+    time, along, space = nodes.time[part], track[part], replace(space, pace=space.pace[part])
     ahead, matrices, inputs = transitions(space, time, nodes.push[part], along, nodes.time[0])
     seen, slopes = derived(lambda e, s: reading(space, e, s), space, along.T)
     kick, spread, total = space.kicks.sum(axis=0), space.noise.sum(axis=0), 0.0
@@ -232,17 +234,18 @@ def forward(
             break
         step, matrix = time[i + 1] - time[i], matrices[i]
         excess = step / 6.0 * matrix[range(2), range(2, 4)] ** 2
+        own = 0.5 * step * space.pace[i]
         if last is not None:
-            rows[:, c:] += 0.5 * step * (space.kicks * last.adjoint[node, n:]).T
-        rows[half] += 0.5 * step * kick
+            rows[:, c:] += (own * space.kicks * last.adjoint[node, n:]).T
+        rows[half] += own * kick
         rows[:] = matrix @ rows
         rows[:, :n] = rows[:, :n] @ matrix.T
-        rows[half] += 0.5 * step * kick
+        rows[half] += own * kick
         rows[range(2), range(2)] -= excess * kick[2:4]
         rows[:, n] += ahead[i] - along[i + 1]
         rows[:, n + 1 : c] += inputs[i]
         if last is not None:
-            rows[:, c:] += 0.5 * step * (space.kicks * last.adjoint[node + 1, :n]).T
+            rows[:, c:] += (own * space.kicks * last.adjoint[node + 1, :n]).T
             rows[:2, c:] -= (excess * space.kicks[:, 2:4] * last.adjoint[node + 1, :2]).T
         if stored is not None:
             stored[i, -4 * n :] = matrix[:4].ravel()
@@ -284,13 +287,14 @@ def backward(
             step = nodes.time[node + 1] - nodes.time[node]
             matrix = np.zeros((n, n))
             matrix[:4] = saved[-4 * n :].reshape(4, n)
-            matrix[range(4, n), range(4, n)] = np.exp(-space.rates * step)
+            pace = space.pace[node]
+            matrix[range(4, n), range(4, n)] = np.exp(-space.rates * pace[4:] * step)
             squares = np.column_stack([r**2, np.diag(covariance)])
-            sums[:n] += 0.5 * step * squares
+            sums[:n] += 0.5 * step * pace[:, None] * squares
             sums[2:4] -= step / 6.0 * matrix[range(2), range(2, 4)][:, None] ** 2 * squares[:2]
             r[:] = matrix.T @ r
             covariance[:] = matrix.T @ covariance @ matrix
-            sums[:n] += 0.5 * step * np.column_stack([r**2, np.diag(covariance)])
+            sums[:n] += 0.5 * step * pace[:, None] * np.column_stack([r**2, np.diag(covariance)])
         result.adjoint[node, n:] = r
         gains = saved[n * c : -4 * n].reshape(4, n + c + 1)
         result.scores[node] = 0.0

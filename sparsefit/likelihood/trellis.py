@@ -85,7 +85,8 @@ class Leg:
 
         names: the parameters (p,) by which the score and the information are wanted.
         """
-        space, (m, n), last = self.model.space(names), self.track.shape, self.last
+        (m, n), last = self.track.shape, self.last
+        space = self.model.space(names, self.track)
         own = n + 1 + len(names)  # columns of P, delta and V
         rows = np.zeros((n, own + (len(space.kicks) if last else 0)))
         rows[:, :n] = np.diag(space.spread.sum(axis=0))

@@ -43,8 +43,8 @@ def odd_nodes(count=40, states=9, seed=3):
 
 def test_steps_and_readings_have_the_derivatives_of_finite_differences():
     model = odd_model()
-    space = replace(model.space(), chain=np.eye(len(model.elements)))
     nodes, track = odd_nodes(6)
+    space = replace(model.space((), track), chain=np.eye(len(model.elements)))
     time = np.linspace(0.0, 0.5, 6)
     functions = {
         "step": lambda e, s: reference.following(space, time, nodes.push, e, s),

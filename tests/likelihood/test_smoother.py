@@ -59,11 +59,11 @@ def nearby(pattern=TRUE, share=0.004):
     return StreamPattern(pattern.shape, tuple(values), pattern.drifting)
 
 
-def halves(kicks, step, f):
+def halves(kicks, step, f, pace):
     """The variances of the kicks before and after a step, the first half's excess taken off."""
     excess = np.zeros(len(kicks))
     excess[:2] = step / 6.0 * f[range(2), range(2, 4)] ** 2 * kicks[2:4]
-    return [0.5 * step * kicks, 0.5 * step * kicks - excess]
+    return [0.5 * step * pace * kicks, 0.5 * step * pace * kicks - excess]
 
 
 def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
@@ -92,10 +92,10 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     model = Model(pattern, {"response_time": TAU}, Disturbance(0.8, 0.05, 0.2, (turbulence,)))
     model = model.free("wind_x", "thrust_scale")
     names = ("thrust_scale", "wind_x")
-    space = model.space(names)
     nodes = Nodes.of(log, log.origin, 1.0)
     assert nodes.time.tolist() == (log.time - log.origin[2]).tolist()
     track, spread = np.pad(nodes.track(), ((0, 0), (0, 2))), np.array([1.0, 2.0, 3.0, 4.0])
+    space = model.space(names, track)
     leg = Leg(SimpleNamespace(spread=spread), model, nodes, track)
     forward = leg.forward(names)
     m, n = track.shape
@@ -116,7 +116,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
         maps.append(after)
         offset.append(f @ offset[-1] + following[i] - track[i + 1])
         by_theta.append(f @ by_theta[-1] + slopes[i])
-        variances += halves(space.kicks.sum(axis=0), step, f)
+        variances += halves(space.kicks.sum(axis=0), step, f, space.pace[i])
     prior = np.diag(np.concatenate(variances))
     h = np.vstack([each[:4] for each in maps])
     noise = np.tile(space.noise.sum(axis=0), m)
@@ -140,8 +140,8 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     columns = [design]
     for level, name in enumerate(model.disturbance.levels):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
-        for step, f in zip(np.diff(nodes.time), matrices, strict=True):
-            kicked += halves(space.kicks[level], step, f)
+        steps = zip(np.diff(nodes.time), matrices, space.pace[:-1], strict=True)
+        kicked += [half for step in steps for half in halves(space.kicks[level], *step)]
         slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
         expected = 0.5 * np.trace(np.linalg.solve(covariance, slope))
         squares = 0.5 * weights @ slope @ weights, expected
@@ -151,6 +151,20 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     again = replace(leg, last=smoothed).forward(names)
     expected = both.T @ np.linalg.solve(covariance, both)
     np.testing.assert_allclose(again.information, expected, rtol=1e-7, atol=1e-9)
+
+
+def test_gusts_change_with_the_way_through_them_and_other_processes_with_time():
+    gusts = Process("turbulence", ("wind_x", "wind_y"), 3.0, 1.5)
+    swell = Process("swell", ("gain",), 0.1, 0.5)
+    pattern = StreamPattern("axis", (5.0, 4.0, 0.3, 0.7, 1.0, 0.0), drifting=True)
+    model = Model(pattern, {"response_time": TAU}, Disturbance(processes=(gusts, swell)))
+    track = np.zeros((3, 7))
+    track[:, 2] = 1.0, 9.0, 1.0  # beside the drift 0, 8 and 0, in both steps 4 on average
+    pace = model.space((), track).pace
+    expected = np.array([5.0, 5.0, 3.0]) / np.sqrt(59.0 / 3.0)
+    np.testing.assert_allclose(pace[:, 4:6], expected[:, None].repeat(2, axis=1))
+    assert (pace[:, :4] == 1.0).all()
+    assert (pace[:, 6] == 1.0).all()
 
 
 def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
