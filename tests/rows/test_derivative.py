@@ -83,6 +83,7 @@ def test_savgol_5_4_weights_are_the_classical_ones():
         ({"method": "midpoint"}, 2),
         ({"method": "savgol", "window": 5, "order": 4}, 4),
         ({"method": "savgol", "window": 7, "order": 2}, 2),
+        ({"method": "savgol", "window": 3, "order": 1}, 2),
     ],
 )
 def test_order_of_convergence(settings, order):
