@@ -175,7 +175,7 @@ class Model:
         """Return the state space, with sensitivities by named parameters.
 
         Gusts are a field that the vehicle flies through: a wind that wanders does so at the rate
-        beta sqrt(|v - c|^2 + level^2) over its rms along the track (m, n); c: the pattern's drift.
+        beta sqrt(|v - c|^2 + level^2) over its rms along the track (m, n), c that of the pattern.
         """
         disturbance, order = self.disturbance, list(ELEMENTS)
         walkers = [
@@ -193,7 +193,7 @@ class Model:
             kicks[level, state] = 2.0 * rate * variance if rate else variance
             spread[level, state] = variance if rate else 0.0
             if track is not None and rate and order[place] in WIND:
-                speeds = np.hypot(*(track[:, 2:4] - self.pattern.drift).T)
+                speeds = self.pattern.passed(track[:, 2:4])
                 speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
                 squares = speeds**2 + variance + 1e-300
                 pace[:, state] = np.sqrt(squares / squares.mean())

@@ -110,6 +110,11 @@ class StreamPattern:
         """The velocity (c_x, c_y) [m/s] of the pattern, (0, 0) where it stands."""
         return (self.values[-2], self.values[-1]) if self.drifting else (0.0, 0.0)
 
+    def passed(self, velocities: Array) -> Array:
+        """The speed (m,) at which velocities (m, 2) go past the pattern [m/s]."""
+        speeds: Array = np.hypot(*(velocities - self.drift).T)
+        return speeds
+
     @cached_property
     def waves(self) -> Array:
         """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""
