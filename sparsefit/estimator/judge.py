@@ -12,12 +12,11 @@ import numpy as np
 
 from sparsefit.estimator.estimate import Doubt, ScaleEstimate, Verdict
 from sparsefit.estimator.measure import Measured
-from sparsefit.estimator.prepare import Prepared, apart
+from sparsefit.estimator.prepare import RESOLVED, Prepared, apart
 from sparsefit.likelihood.causes import FREEDOMS, Suspect
 from sparsefit.likelihood.diagnosis import usable
 from sparsefit.model.grid import extent_of
 
-RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
 DISAGREES = 0.2  # of the motion: position and velocity that are further apart are not of one
 QUANTITIES = {
     "mean_velocity": "the mean velocity",
@@ -86,16 +85,15 @@ def doubts_of_flow(
 
     grid = prepared.library.grid
     least = min((scale.length_scale for scale in scales), default=grid.lower)
-    for number, samples in enumerate(prepared.parts, 1):
-        speed = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1))))
-        moved = speed * float(np.median(np.diff(samples.time)))
-        if moved * RESOLVED > least and 2 * moved > grid.lower:
-            yield unidentifiable(
-                Doubt.UNDERSAMPLED,
-                f"{_of_flight(prepared, number)}the flight moves {moved:.3g} m from sample to "
-                f"sample, too far to follow a length scale of {least:.3g} m; sample at "
-                f"{RESOLVED * speed / least:.3g} Hz or more",
-            )
+    for number in prepared.too_fast(least):
+        moved = prepared.strides[number - 1]
+        rate = moved / least / float(np.median(np.diff(prepared.parts[number - 1].time)))
+        yield unidentifiable(
+            Doubt.UNDERSAMPLED,
+            f"{_of_flight(prepared, number)}the flight moves {moved:.3g} m from sample to sample, "
+            f"too far to follow a length scale of {least:.3g} m; sample at {RESOLVED * rate:.3g} "
+            "Hz or more",
+        )
     seen = [*free, *result.freed, *(own.free for own in result.suspects)] if result else free
     for number, latency in enumerate(prepared.latencies, 1):
         if latency and "latency" not in seen:  # the log alone tells it, whatever flow was fitted

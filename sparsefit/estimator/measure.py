@@ -225,7 +225,8 @@ def measure_flow(
     white = goodness.whiteness > 1e-6 or first.exact or first.pushed
     clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
     excess = math.inf if clear else _excess(prepared, logs, first)
-    if excess > -HIDDEN or goodness.r_squared > MOSTLY:
+    followed = not prepared.too_fast(first.model.pattern.length_scale)
+    if followed and (excess > -HIDDEN or goodness.r_squared > MOSTLY):
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
         diagnosis = diagnose(
             logs, first, names, shapes=shapes, inside=lambda own: alike(own, proposal, around)

@@ -21,6 +21,7 @@ from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative, Samples
 
 FEWEST = 20  # rows of each of several flights: fewer do not tell the flight's own noise
+RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
 EVIDENT = 0.02  # of the motion: a latency is looked for in what is further apart
 MENDED = 0.1  # of how far they are apart, that a latency may leave
 
@@ -53,6 +54,18 @@ class Prepared(Brief):
     def latencies(self) -> list[float]:
         """The latency [s] of each flight that its log alone tells; 0: none."""
         return [latency_of(flight) for flight in self.flights]
+
+    @cached_property
+    def strides(self) -> list[float]:
+        """The way [m] of each flight from sample to sample."""
+        speeds = [math.sqrt(float(np.mean(np.sum(own.velocity**2, axis=1)))) for own in self.parts]
+        steps = [float(np.median(np.diff(own.time))) for own in self.parts]
+        return [speed * step for speed, step in zip(speeds, steps, strict=True)]
+
+    def too_fast(self, length: float) -> list[int]:
+        """The numbers, from 1, of flights with too few samples to follow a length scale [m]."""
+        least, ways = 0.5 * self.library.grid.lower, enumerate(self.strides, 1)
+        return [number for number, way in ways if way * RESOLVED > length and way > least]
 
     def once(self, key: object, work: Callable[[], Result]) -> Result:
         """Return the work's result, computed once for all back-ends that come to the same key."""
