@@ -280,12 +280,6 @@ class Library:
                     f"the flight stays on the line {axis} = 0, where the candidates of sin {axis} "
                     "are zero: no length scale can be told; leave that line"
                 )
-        steps = [np.hypot(*np.diff(own.position, axis=0).T) for own in flights]
-        if (apart := float(np.median(np.concatenate([[0.0], *steps])))) > self.grid.upper:
-            raise InputError(
-                f"samples are {apart:.3g} m apart, and the largest length scale sought is "
-                f"{self.grid.upper:g} m: check the units, or raise the grid's upper bound"
-            )
         if self.every > 1 and any(samples.averages for samples in flights):
             words = "'every' thins samples, but the weak form has averages of its own; leave it out"
             raise InputError(f"library: {words}")

@@ -41,7 +41,7 @@ def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days, first):
 
 def test_a_grid_of_metres_is_refused_for_a_sea(track):
     flight = sf.Flight.from_positions(EVERY * np.arange(5 * DAY), track[: 5 * DAY], WATER)
-    with pytest.raises(sf.InputError, match=r"m apart, and the largest .* is 12 m"):
+    with pytest.raises(sf.InputError, match="too small for a flight of"):
         sf.Estimator().estimate(flight)
 
 

@@ -1,7 +1,6 @@
 """Candidates (Eqs. 17-19), grids, unknown vehicles, and the problems that libraries make."""
 
 import math
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -157,12 +156,6 @@ def test_rows_are_compressed_from_five_more_than_columns_on(monkeypatch):
         problem = Library(SMALL_GRID).build([samples.rows(slice(columns + more))], [VEHICLE])
         assert (problem.columns, problem.samples) == (columns, columns + more)
         assert len(problem.theta) == rows
-
-
-def test_a_flight_in_other_units_is_refused_before_it_has_a_hundred_thousand_columns():
-    samples = Derivative()(flight())
-    with pytest.raises(InputError, match=r"samples are .* m apart, .* is 7 m: check the units"):
-        Library(SMALL_GRID).build([replace(samples, position=1e3 * samples.position)], [VEHICLE])
 
 
 def test_rows_of_several_flights_have_their_weights():
