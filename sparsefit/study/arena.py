@@ -7,6 +7,11 @@ the first is judged itself. A process that is lost costs the case that it was at
 There is one clock, the parent's: seconds on the wall of a process and of all that it starts. Code
 that is timed can change its own clock and not this. CPU time stands beside the wall: a solver that
 sleeps, or works elsewhere, has less of it; a disturbed machine too.
+
+    holdout_error = sum over folds |Y - Theta W|^2 / |Y - mean(Y_train)|^2   on the rows held out
+
+A fold is a block of neighbouring rows, as neighbours in time are alike. The penalty of a fold is
+chosen on the others.
 """
 
 from __future__ import annotations
@@ -21,11 +26,10 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
-from sparsefit.study.contenders import ACCURACIES, ProblemDesign
+from sparsefit.study.contenders import ACCURACIES, FOLDS, IN_USE, ProblemDesign
 from sparsefit.study.data_sets import Data
-from sparsefit.study.holdout import FOLDS, cross_validated, missed, recovered, support
 from sparsefit.study.keys import Clock
 from sparsefit.study.plan import Asking
 from sparsefit.study.problem_desk import Contender, own_fraction, small_problem, write_data
@@ -360,3 +364,40 @@ def _number(content: Mapping[str, Any], name: str) -> float:
     """A number that a process told, NaN for anything else."""
     value = content.get(name)
     return float(value) if isinstance(value, int | float) else math.nan
+
+
+def missed(theta: Array, target: Array, weights: Array) -> Array:
+    """The squares (p,) that answers (p, k, n) leave of rows."""
+    return np.array([float(((target - theta @ each) ** 2).sum()) for each in weights])
+
+
+def cross_validated(errors: Array, bases: Array) -> dict[str, Value]:
+    """The held-out share of the squares, and its standard error over the folds.
+
+    errors (f, p): squares missed in each fold at each penalty; bases (f,): those about the mean.
+    The penalty of a fold is chosen on the others, so that it has not been seen there.
+    """
+    others = errors.sum(axis=0) - errors
+    chosen = others.argmin(axis=1) if len(errors) > 1 else np.zeros(len(errors), int)
+    missed = errors[np.arange(len(errors)), chosen]
+    shares = missed / np.maximum(bases, 1e-300)
+    spread = float(shares.std(ddof=1) / math.sqrt(len(shares))) if len(shares) > 1 else math.nan
+    total = float(missed.sum() / max(bases.sum(), 1e-300))
+    return {"holdout_error": total, "holdout_error_se": spread}
+
+
+def support(weights: Array, rms: Array) -> BoolArray:
+    """Which columns (k,) are in use, of weights (k, n)."""
+    sizes = np.sqrt((weights**2).sum(axis=1)) * rms
+    used: BoolArray = sizes > IN_USE * sizes.max(initial=0.0)
+    return used
+
+
+def recovered(used: BoolArray, truth: BoolArray) -> dict[str, Value]:
+    """Precision, recall and F1 of the columns in use against the true ones."""
+    hits = float((used & truth).sum())
+    precision = hits / used.sum() if used.any() else math.nan
+    recall = hits / truth.sum() if truth.any() else math.nan
+    f1 = 2.0 * hits / (used.sum() + truth.sum()) if used.any() or truth.any() else math.nan
+    recovered = {"precision": float(precision), "recall": float(recall), "f1": float(f1)}
+    return {"true_support": int(truth.sum()), **recovered}

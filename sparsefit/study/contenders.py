@@ -31,7 +31,6 @@ from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import SHIPPED, Recipe, solver_names
 from sparsefit.study import crossing, data_sets, schema
 from sparsefit.study.draw import SIMULATION, stream
-from sparsefit.study.holdout import FOLDS, IN_USE
 from sparsefit.study.keys import (
     Clock,
     ContenderKeys,
@@ -44,6 +43,8 @@ from sparsefit.study.problem_desk import Contender, small_problem
 from sparsefit.study.schema import canonical_json, digest, numbered
 
 OURS = "sparsefit"
+FOLDS = 5  # blocks of neighbouring rows that are held out in turn
+IN_USE = 1e-3  # share of the largest weight (of columns of unit rms), above which a column is used
 ACCURACIES = (1e-4, 1e-6, 1e-8)  # certified, at which success and time are counted
 KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, `name` and `alter`
     "flights": ("library",),

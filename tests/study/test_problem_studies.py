@@ -13,9 +13,8 @@ import pytest
 import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.errors import InputError, MissingExtra
-from sparsefit.study.arena import Repeats, median_interval
+from sparsefit.study.arena import Repeats, cross_validated, median_interval, recovered
 from sparsefit.study.data_sets import DATASETS, Data, drawn, read_data, read_public
-from sparsefit.study.holdout import cross_validated, recovered
 from sparsefit.study.keys import Clock, Generator
 from sparsefit.study.problem_desk import part_of, signs_of
 from sparsefit.study.store import read_cases
