@@ -199,7 +199,7 @@ class Design:
     def raw_columns(self, index: IntArray) -> Array:
         """theta_J (m, j), dense, in the order that products want; a copy."""
         if self.in_memory and self.source.flags.f_contiguous:  # no block is copied on the way
-            out = np.asfortranarray(self.source[:, index], dtype=np.float64)
+            out = np.take(self.source.T, index, axis=0).astype(np.float64, copy=False).T
             if self.weights is not None:
                 out *= self.weights[:, None]
         else:
