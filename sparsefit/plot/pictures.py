@@ -12,7 +12,7 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.flight import Flight
 from sparsefit.flight.waves import FlowField
-from sparsefit.plot.style import COLOURS, GREY, labels, logarithmic, panels, styled
+from sparsefit.plot.style import COLOURS, GREY, labels, logarithmic, panels, styled, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,24 +124,8 @@ def draw_estimate(
     samples, air, less = along_track(estimate, estimator, flights[0])
     draw_residual(residual, samples, air, less, " of the first flight" * (len(flights) > 1))
     draw_spectrum(power, samples, air, less, estimate.length_scale)
-    error = estimate.uncertainty
-    speed = _quantity(estimate.mean_velocity, error.mean_velocity if error else math.nan)
-    length = _quantity(estimate.length_scale, error.length_scale if error else math.nan)
-    said = f"U0 = {speed} m/s, L = {length} m: {estimate.status}"
-    figure.suptitle(f"{labels([title], 90)[title]}\n{said}", fontsize=9)
+    figure.suptitle(labels([title], 90)[title] + f"\n{wrapped(str(estimate), 100)}", fontsize=9)
     return figure
-
-
-def _quantity(value: float, spread: float) -> str:
-    """Return a value with its standard error, both to two digits of that."""
-    if not math.isfinite(value):
-        return "–"
-    if not 0 < spread < math.inf:
-        return f"{value:.4g}"
-    places = max(0, 1 - math.floor(math.log10(spread)))
-    if places > 9:
-        return f"{value:.9g} ± {spread:.1e}"
-    return f"{value:.{places}f} ± {spread:.{places}f}"
 
 
 def draw_weights(axes: Axes, estimate: Estimate, truth: Sequence[float]) -> None:

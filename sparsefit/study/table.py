@@ -244,21 +244,23 @@ class Table:
         is_name = [is_text and not column.group
                    for is_text, column in zip(self.is_text, self.columns, strict=True)]  # fmt: skip
         names = max(1, min([*is_name, False].index(False), len(self.columns) - 1))
-        has_groups, printed = any(column.group for column in self.columns), list[list[str]]()
-        rows = [[column.heading for column in self.columns], *self.texts(most)]
-        needed = [
-            max(map(len, texts)) for texts in zip(*(row[:names] for row in rows), strict=True)
-        ]
-        fitting = (size for size in range(width, 12, -1)
-                   if sum(min(letters, size) for letters in needed) <= 0.6 * width)  # fmt: skip
-        room = next(fitting, 12)
-        for place, (column, *texts) in enumerate(zip(self.columns, *rows, strict=True)):
+        heads = [column.heading for column in self.columns]
+        columns = list(zip(heads, *self.texts(most), strict=True))
+        lengths = [max(map(len, texts)) for texts in columns]
+        widest = min(max(lengths[names:], default=0), width // 2)
+        space = min(0.6 * width, width - widest - 2 * names)
+        rooms = (size for size in range(width, 12, -1)
+                 if sum(min(letters, size) for letters in lengths[:names]) <= space)  # fmt: skip
+        room, printed = next(rooms, 12), list[list[str]]()
+        has_groups = any(column.group for column in self.columns)
+        for place, (column, texts) in enumerate(zip(self.columns, columns, strict=True)):
             letters = room if place < names else width // 2
-            begin, end = letters // 2, (letters - 1) // 2
-            short = [text if len(text) <= letters else f"{text[:begin]}…{text[-end:]}"
-                     for text in texts]  # fmt: skip
-            is_told_apart = place >= names or len(set(short)) == len(set(texts))
-            lines = [*[column.group] * has_groups, *(short if is_told_apart else texts)]
+            while True:
+                short = [_cut(text, letters) for text in texts]
+                if place >= names or len(set(short)) == len(set(texts)):
+                    break
+                letters += 1  # names stay apart
+            lines = [*[column.group] * has_groups, *short]
             justify, size = str.ljust if place < names else str.rjust, max(map(len, lines))
             printed.append([justify(text, size) for text in lines])
         behind = list(map("  ".join, zip(*printed[:names], strict=True)))
@@ -279,6 +281,12 @@ class Table:
 
         shown = pd.DataFrame(self.texts(60), columns=self.heads)
         return shown.style.hide(axis="index").to_html()
+
+
+def _cut(text: str, letters: int) -> str:
+    """Return text of at most so many letters, without its middle if it is longer."""
+    begin, end = letters // 2, (letters - 1) // 2
+    return text if len(text) <= letters else f"{text[:begin]}…{text[-end:]}"
 
 
 def _tex(text: str) -> str:
