@@ -224,11 +224,12 @@ def compare(args: argparse.Namespace) -> Reply:
     """
     from sparsefit.study import compare as comparing
     from sparsefit.study.store import read_cases
-    from sparsefit.study.study import Study
 
     def cases(name: str) -> pd.DataFrame:
         if Path(name).is_dir():
             return read_cases(name)
+        from sparsefit.study.study import Study
+
         return Study.from_file(name, results=args.results).cases
 
     limit = comparing.TOLERANCE if args.tolerance is None else args.tolerance

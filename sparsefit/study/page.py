@@ -104,7 +104,8 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
 
 def load() -> None:
     """Import what a report needs, and a run does not: a second of work."""
-    for name in ("jinja2", "matplotlib.backends.backend_svg", "pandas.io.formats.style"):
+    backend = "matplotlib.backends.backend_svg"
+    for name in ("jinja2", "matplotlib.figure", backend, "pandas.io.formats.style"):
         import_module(name)
 
 

@@ -33,12 +33,13 @@ from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
 from sparsefit.study.columns import FAILED, STATUSES, Outcome, body_of, kinds_of
 from sparsefit.study.manifest import MANIFEST, check_whole, read_record
-from sparsefit.study.plan import Plan
 from sparsefit.whole_file import refusing, whole_file
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
+
+    from sparsefit.study.plan import Plan
 
 STORE, CASES = "cases.sqlite", "cases.parquet"
 SCHEMA = """CREATE TABLE IF NOT EXISTS cases (key TEXT PRIMARY KEY, status TEXT NOT NULL,
