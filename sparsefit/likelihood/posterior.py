@@ -5,8 +5,8 @@ or narrow with them. They are integrated out along each level apart (Rue, Martin
 J. R. Stat. Soc. B 71, 319), the prior flat in its square root: a forward pass at another level
 gives its likelihood, and how far and how surely the parameters would move there.
 
-A disturbance that wanders in time stands for turbulence, which is a field in space and has other
-strengths at other wavevectors than the flight's own time tells. Waves around those of the flow, as
+A process along the way stands for turbulence, which is a field in space and has other
+strengths at other wavevectors than the flight's own way tells. Waves around those of the flow, as
 near as the flight's extent tells them apart, say which: each of amplitude 0 has a score that is
 chi^2 where the model holds. Their mean excess is how much more of the flow's own waves may be
 turbulence than the model gives: a sandwich covariance, its middle read at neighbouring wavevectors.
