@@ -70,16 +70,21 @@ def test_going_on_is_going_at_once_and_compiled_is_generic(kind, seed):
         np.testing.assert_allclose(point, generic, atol=2e-4)
 
 
-@pytest.mark.parametrize("kind", ["LASSO", "adaptive elastic net", "groups", "SLOPE"])
+@pytest.mark.parametrize(
+    "kind", ["LASSO", "adaptive elastic net", "groups", "nested groups", "SLOPE"]
+)
 def test_columns_that_join_on_the_way_change_no_point(kind, monkeypatch):
     rng = np.random.default_rng(5)
     theta, weights = rng.normal(size=(30, 240)), np.zeros((240, 1))
     weights[::40] = rng.normal(size=(6, 1))
-    target, groups = theta @ weights + 0.1 * rng.normal(size=(30, 1)), np.arange(240) // 3
+    target, groups = theta @ weights + 0.1 * rng.normal(size=(30, 1)), np.arange(240) % 80
     penalty = {
         "LASSO": AbsoluteValues(np.ones(240)),
         "adaptive elastic net": AbsoluteValues(np.geomspace(0.5, 2.0, 240), ridge=0.1),
         "groups": GroupNorms(groups, np.ones(80)),
+        "nested groups": NestedNorms(
+            GroupNorms(groups, np.linspace(0.5, 1.0, 80)), AbsoluteValues(np.full(240, 0.3))
+        ),
         "SLOPE": SortedNorm(np.linspace(1.0, 0.5, 240)),
     }[kind]
     design = RegressionProblem.from_arrays(theta, target, groups).design
@@ -93,6 +98,8 @@ def test_columns_that_join_on_the_way_change_no_point(kind, monkeypatch):
     assert "in play" in joined.words
     assert joined.complete.all()
     np.testing.assert_allclose(joined.weights, whole.weights, atol=1e-5)
+    gaps = duality_gaps(design, target, joined.weights / design.rms[:, None], alphas, penalty)
+    assert max(gap.bound for gap in gaps) < 1e-8
 
 
 @pytest.mark.parametrize("targets", [1, 2])
