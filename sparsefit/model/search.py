@@ -51,8 +51,6 @@ class Search:
         """
         position = np.concatenate([samples.position for samples in flights])
         extent, least = extent_of(position), library.grid.lower
-        if not extent > 0:
-            raise InputError("the flight does not move: no length scale can be told; fly farther")
         if line_steps(extent, library.bounds) > 150_000:  # more lobes are looked into by nobody
             words = f"a length scale of {least:.3g} m is too small for a flight of {extent:.3g} m"
             raise InputError(f"{words}: too many lobes; raise the grid's lower bound")
@@ -73,6 +71,8 @@ class Search:
         counts = tuple(len(samples.time) for samples in thin)
         own = np.repeat(np.array(weights or [1.0] * len(flights), dtype=float), counts)
         place = np.vstack([np.column_stack([rows.position, rows.time]) for rows in thin]) - origin
+        if not extent > 0 or (len(place) > 1 and not extent_of(place[:, :2]) > 0):
+            raise InputError("the flight does not move: no length scale can be told; fly farther")
         phi = np.vstack([own.flow_velocity(by) for own, by in zip(thin, vehicles, strict=True)])
         unknowns = tuple(UnknownColumns(library.unknown, vehicle) for vehicle in vehicles)
         beside = own[:, None, None] * side_by_side(unknowns, thin)

@@ -1,6 +1,7 @@
 """The search: the shape that was flown is proposed first, near its place, and no freer one."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -193,8 +194,10 @@ def test_a_flight_that_rests_or_is_too_long_is_refused_at_once():
     flow = flow_of(AXIS, (0.9,))
     samples = samples_of(flow, 0.0)
     resting = Samples(TIME, np.ones_like(TRACK), TRACK, TRACK, TRACK)
-    with pytest.raises(InputError, match="does not move"):
-        Search.of([resting], [VEHICLE], LIBRARY)
+    hopping = replace(resting, position=np.tile([[0.0, 0.0], [1.0, 1.0]], (150, 1)))
+    for still in (resting, hopping):  # between two places, of which every other row is one
+        with pytest.raises(InputError, match="does not move"):
+            Search.of([still], [VEHICLE], LIBRARY)
     far = Samples(TIME, 1e4 * TRACK, samples.velocity, samples.velocity, samples.acceleration)
     with pytest.raises(InputError, match="too many lobes; raise the grid's lower bound"):
         Search.of([far], [VEHICLE], LIBRARY)
