@@ -168,7 +168,9 @@ def _named(panels: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
     for panel in panels:
         curves = {curve.name: curve for curve in panel.curves}
         panel.curves = [curves[name] for name in names if name in curves]
-    short = style.labels(names if len(names) == NAMED_CURVES + 1 else names[:NAMED_CURVES], 52)
+    named = names if len(names) == NAMED_CURVES + 1 else names[:NAMED_CURVES]
+    every = style.labels(names, 52)  # what sets them apart from the grey ones too
+    short = {name: every[name] for name in named}
     more = {name: f" and {size - 1} alike" * (size > 1) for name, size in count.items()}
     return {name: f"{short[name]}{more[name]}" if name in short else None for name in names}
 
