@@ -18,10 +18,9 @@ for (name, flow), colour in zip(worlds.items(), ("#0072b2", "#d55e00"), strict=T
         flow, vehicle, duration=20.0, sample_rate=50.0, seed=2,
         velocity_noise=0.1, position_noise=0.02,
     )  # fmt: skip
-    prepared = estimator.prepare(flight)
-    estimate = estimator.read(prepared, estimator.fit(prepared))
-    samples = prepared.parts[0]
-    left = prepared.flow_velocity - estimate.flow.velocity(*samples.position.T, samples.time)
+    estimate = estimator.estimate(flight)
+    samples = sf.Derivative()(flight)
+    left = samples.flow_velocity(vehicle) - estimate.flow.velocity(*samples.position.T, samples.time)
     frequency, power = welch(left, fs=50.0, nperseg=256, axis=0)
     width = np.ptp(estimate.uncertainty.length_scale_interval) / 2.0
     label = f"{name}: L = {estimate.length_scale:.4f} ± {width:.4f} m (95 %)"
