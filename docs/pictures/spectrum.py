@@ -20,7 +20,8 @@ for (name, flow), colour in zip(worlds.items(), ("#0072b2", "#d55e00"), strict=T
     )  # fmt: skip
     estimate = estimator.estimate(flight)
     samples = sf.Derivative()(flight)
-    left = samples.flow_velocity(vehicle) - estimate.flow.velocity(*samples.position.T, samples.time)
+    flow = estimate.flow.velocity(*samples.position.T, samples.time)
+    left = samples.flow_velocity(vehicle) - flow
     frequency, power = welch(left, fs=50.0, nperseg=256, axis=0)
     width = np.ptp(estimate.uncertainty.length_scale_interval) / 2.0
     label = f"{name}: L = {estimate.length_scale:.4f} ± {width:.4f} m (95 %)"
