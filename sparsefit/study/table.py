@@ -248,10 +248,8 @@ class Table:
         columns = list(zip(heads, *self.texts(most), strict=True))
         lengths = [max(map(len, texts)) for texts in columns]
         widest = min(max(lengths[names:], default=0), width // 2)
-        space = min(0.6 * width, width - widest - 2 * names)
-        rooms = (size for size in range(width, 12, -1)
-                 if sum(min(letters, size) for letters in lengths[:names]) <= space)  # fmt: skip
-        room, printed = next(rooms, 12), list[list[str]]()
+        room = max(12, int(min(0.7 * width, width - widest)) // names - 2)
+        printed = list[list[str]]()
         has_groups = any(column.group for column in self.columns)
         for place, (column, texts) in enumerate(zip(self.columns, columns, strict=True)):
             letters = room if place < names else width // 2
