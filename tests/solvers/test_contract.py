@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 import json
-from functools import cache
+from functools import cache, partial
 
 import cvxpy
 import numpy as np
@@ -147,62 +147,43 @@ def test_settings_are_frozen_and_round_trip_through_json(case):
     assert type(backend) is backends.load(case[0])
 
 
-@every
-def test_permuted_columns_permute_the_weights(case):
-    if case[0] == "fused-lasso":  # whose columns have an order
-        return
-    backend = backends.get(case[0], **case[1])
-    order = np.random.default_rng(0).permutation(PROBLEM.columns)
-    moved = rebuilt(PROBLEM, theta=PROBLEM.theta[:, order], groups=PROBLEM.groups[order])
-    expected = answered(backend).weights[order]
-    assert solved(moved, backend).weights == close(backend, expected)
+def changes():
+    """Problems that say what `PROBLEM` says, each with the way back of its weights."""
+    order, rows = (np.random.default_rng(0).permutation(count) for count in PROBLEM.theta.T.shape)
+    theta, target, groups = PROBLEM.theta, PROBLEM.target, PROBLEM.groups
+    yield "columns permuted", (theta[:, order], target, groups[order]), lambda w: w[order.argsort()]
+    yield "rows permuted", (theta[rows], target[rows][:, ::-1], groups), lambda w: w[:, ::-1]
+    yield "rows twice", (np.tile(theta, (2, 1)), np.tile(target, (2, 1)), groups), lambda w: w
+    for span in (1e3, 1e6):
+        units = np.geomspace(1 / span, span, PROBLEM.columns)
+        back = partial(np.multiply, units[:, None])
+        yield f"columns in units to {span:g}", (theta * units, target, groups), back
+    for unit in (-1.0, 1e-9, 1e9):
+        yield (
+            f"target times {unit:g}",
+            (theta, target * unit, groups),
+            partial(np.multiply, 1 / unit),
+        )
+
+
+CHANGES = {name: (rebuilt(PROBLEM, *parts), back) for name, parts, back in changes()}
 
 
 @every
-def test_permuted_samples_and_targets_change_nothing_else(case):
-    backend = backends.get(case[0], **case[1])
-    rows = np.random.default_rng(1).permutation(PROBLEM.samples)
-    moved = rebuilt(PROBLEM, PROBLEM.theta[rows], PROBLEM.target[rows][:, ::-1])
-    expected = answered(backend).weights[:, ::-1]
-    assert solved(moved, backend).weights == close(backend, expected)
-
-
-def depends_on_samples(backend):
-    return getattr(backend, "mode", "") == "pysindy"  # its loss is the plain sum of squares
-
-
-@every
-def test_repeated_samples_change_nothing(case):
-    backend = backends.get(case[0], **case[1])
-    if depends_on_samples(backend):
-        pytest.skip("its loss is the plain sum of squares: more samples weaken ridge and threshold")
-    twice = rebuilt(PROBLEM, np.tile(PROBLEM.theta, (2, 1)), np.tile(PROBLEM.target, (2, 1)))
-    expected = answered(backend).weights
-    assert solved(twice, backend).weights == close(backend, expected)
-
-
-@every
-def test_units_of_a_column_are_units_of_its_weight(case):
-    backend = backends.get(case[0], **case[1])
-    if getattr(backend, "rcond", None) or depends_on_samples(backend):
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_problem_that_says_as_much_has_the_answer(case, change):
+    backend, (problem, back) = backends.get(case[0], **case[1]), CHANGES[change]
+    unscaled = getattr(backend, "mode", "") == "pysindy"  # its loss is the plain sum of squares
+    if "units" in change and (getattr(backend, "rcond", None) or unscaled):
         pytest.skip("works in the units that it is given")
     # Least squares as the paper prints it does not scale: it is backward stable, |theta| |W| eps.
-    span = 1e3 if case[0] == "least-squares" else 1e6
-    units = np.geomspace(1 / span, span, PROBLEM.columns)
-    changed = rebuilt(PROBLEM, theta=PROBLEM.theta * units)
-    expected = answered(backend).weights
-    assert solved(changed, backend).weights * units[:, None] == close(backend, expected)
-
-
-@every
-@pytest.mark.parametrize("unit", [-1.0, 1e-9, 1e9])
-def test_units_of_the_target_are_units_of_the_weights(case, unit):
-    backend = backends.get(case[0], **case[1])
-    if depends_on_samples(backend) and unit != -1.0:
-        pytest.skip("its threshold has the unit of the weights")
-    changed = rebuilt(PROBLEM, target=PROBLEM.target * unit)
-    expected = answered(backend).weights
-    assert solved(changed, backend).weights / unit == close(backend, expected)
+    if "units" in change and ("1000" in change) != (case[0] == "least-squares"):
+        pytest.skip("has the other units")
+    if unscaled and change in ("rows twice", "target times 1e-09", "target times 1e+09"):
+        pytest.skip("more samples, and units of the target, weaken its ridge and threshold")
+    if case[0] == "fused-lasso" and change == "columns permuted":
+        pytest.skip("its columns have an order")
+    assert back(solved(problem, backend).weights) == close(backend, answered(backend).weights)
 
 
 @every
