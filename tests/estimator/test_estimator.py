@@ -2,8 +2,11 @@
 
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +21,7 @@ from sparsefit.estimator.estimator import Estimator
 from sparsefit.estimator.saved import FORMAT
 from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.regression.certificate import Certificate
-from tests.problems import SMALL_GRID, flight
+from tests.problems import SMALL_GRID, VEHICLE, flight, fly
 
 SMALL = Library(SMALL_GRID)
 
@@ -274,3 +277,82 @@ def test_what_is_no_json_object_is_refused(text):
 def test_parts_of_the_wrong_kind_are_refused(arguments):
     with pytest.raises(InputError, match="estimator: "):
         Estimator(**arguments)
+
+
+FILE = Path(__file__).parents[2] / "studies" / "drifters" / "drifter_079.csv"
+EVERY = 900.0  # s
+DAY = 96  # samples
+WATER = sf.PointMassVehicle(60.0)  # follows the water
+GRID = sf.model.LengthScaleGrid(2e3, 200e3, spacing="flight")
+
+
+@pytest.fixture(scope="module")
+def track():
+    """x east and y north [m], (m, 2)."""
+    flight = sf.read_flight(FILE)
+    assert not flight.velocity_measured
+    assert flight.vehicle == WATER
+    assert np.all(np.diff(flight.time) == EVERY)
+    return flight.position
+
+
+PIECES = [(10, 0), *(pytest.param(*own, marks=pytest.mark.slow)
+                    for own in ((10, 15), (5, 0), (5, 15), (25, 0)))]  # fmt: skip
+
+
+@pytest.mark.parametrize(("days", "first"), PIECES)
+def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days, first):
+    position = track[first * DAY : (first + days) * DAY]
+    flight = sf.Flight.from_positions(EVERY * np.arange(len(position)), position, WATER)
+    estimate = sf.Estimator(library=sf.Library(GRID)).estimate(flight)
+    assert estimate.status in ("unidentifiable", "misfit")
+    assert estimate.reason
+    assert not estimate.repairs.words
+
+
+def test_a_grid_of_metres_is_refused_for_a_sea(track):
+    flight = sf.Flight.from_positions(EVERY * np.arange(5 * DAY), track[: 5 * DAY], WATER)
+    with pytest.raises(sf.InputError, match="too small for a flight of"):
+        sf.Estimator().estimate(flight)
+
+
+def test_positions_alone_tell_a_cellular_flow():
+    logged = fly(sf.CellularFlow(6.0, 4.0), duration=15.0, noise=(0.0, 0.002))
+    flight = sf.Flight.from_positions(logged.time, logged.position, VEHICLE)
+    estimate = sf.Estimator().estimate(flight)
+    assert estimate.status == "ok"
+    assert estimate.length_scale == pytest.approx(4.0, rel=5e-3)
+    assert estimate.mean_velocity == pytest.approx(6.0, rel=3e-2)
+
+
+HEAVY = {"cvxpy", "clarabel", "osqp", "pandas", "pyarrow", "matplotlib", "sklearn", "distributed"}
+CODE = """
+import json, sys
+import sparsefit as sf
+from sparsefit import backends
+
+def packages():
+    return sorted({name.partition(".")[0] for name in sys.modules})
+
+for name in backends.BACKENDS:
+    estimator = sf.Estimator.from_json(sf.Estimator(backend=name).to_json())
+print(json.dumps(packages()))
+print(json.dumps([name for name in sys.modules if name.startswith("sparsefit.")]))
+flow, vehicle = sf.CellularFlow(15.43, 4.21), sf.PointMassVehicle(0.5, (5.0, 3.0))
+flight = sf.simulate_flight(
+    flow, vehicle, duration=5.0, sample_rate=50.0, seed=7, velocity_noise=0.05, position_noise=0.01
+)
+for name in ("group-lasso", "lasso", "stlsq", "best-scale"):
+    assert sf.Estimator(backend=name).estimate(flight).status == "ok"
+print(json.dumps(packages()))
+"""
+
+
+def test_no_back_end_is_loaded_with_scipy_and_none_that_is_ours_runs_with_a_conic_solver():
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
+    loaded, ours, run = (set(json.loads(line)) for line in done.stdout.splitlines())
+    assert not loaded & (HEAVY | {"scipy", "finufft"})
+    running = {"estimator.prepare", "estimator.measure"}
+    assert not ours & {f"sparsefit.{name}" for name in running}
+    assert not run & HEAVY
+    assert "scipy" in run  # what is looked for would be found

@@ -1,0 +1,530 @@
+"""Back-ends of a penalty against scikit-learn, cvxpy, augmented rows and values by hand."""
+
+import dataclasses
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import cvxpy
+import cvxpy as cp
+import numpy as np
+import pytest
+import sklearn.linear_model as peers
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import sparse
+from scipy.optimize import lsq_linear
+
+import sparsefit as sf
+from sparsefit import backends
+from sparsefit.penalties import Penalty
+from sparsefit.regression.certificate import duality_gaps
+from sparsefit.regression.design import Design
+from sparsefit.regression.penalties import AbsoluteValues, alpha_max
+from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers.penalised import PenalisedPath
+from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthonormal, regular
+
+PLAIN = {"adaptive-lasso": "lasso", "adaptive-group-lasso": "group-lasso"}
+
+
+def test_the_weights_are_worked_by_hand_on_orthonormal_columns():
+    # The first fit is C / (1 + ridge): its ratios are those of C, whatever the ridge.
+    problem = orthonormal(2)
+    cross = problem.statistics.cross
+    rows = np.linalg.norm(cross, axis=1)
+    penalty = backends.get("adaptive-lasso", power=2.0).penalty(problem)
+    assert penalty.weights == pytest.approx((rows / rows.max()) ** -2.0, rel=1e-9)
+    blocks = np.array([np.linalg.norm(cross[:3]), np.linalg.norm(cross[3:])])
+    backend = backends.get("adaptive-group-lasso", group_weights="sqrt-size", pilot_ridge=1.0)
+    expected = np.sqrt(3) * blocks.max() / blocks
+    assert backend.penalty(problem).weights == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("target", [0, 1])
+def test_scikit_learn_agrees_on_columns_divided_by_the_weights(target):
+    problem, s = regular(3), regular(3).statistics
+    backend = backends.get("adaptive-lasso", alpha_fraction=0.05)
+    penalty = backend.penalty(problem)
+    first = np.linalg.solve(s.gram + 0.05 * np.eye(12), s.cross)
+    sizes = np.linalg.norm(first, axis=1)
+    omega = np.maximum(sizes / sizes.max(), 1e-3) ** -1.0
+    assert penalty.weights == pytest.approx(omega, rel=1e-9)
+    alpha = 0.05 * (np.abs(s.cross) / omega[:, None]).max()
+    assert alpha == pytest.approx(0.05 * alpha_max(s.cross, penalty), rel=1e-9)
+    peer = peers.Lasso(alpha, fit_intercept=False, tol=1e-13, max_iter=100_000)
+    scaled = peer.fit(problem.theta / s.rms / omega, problem.target[:, target]).coef_ / omega
+    found = sf.fit(problem, backend)
+    assert found.status == "ok"
+    assert (found.weights * s.rms[:, None])[:, target] == pytest.approx(scaled, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_it_leaves_out_noise_that_the_plain_one_takes_in(name):
+    problem = regular(4)
+    fits = [sf.fit(problem, backends.get(one, alpha_fraction=0.01)) for one in (name, PLAIN[name])]
+    adaptive, plain = (set(fit.support) for fit in fits)
+    assert {0, 1, 2} <= adaptive < plain
+
+
+def test_a_first_ridge_that_rounding_loses_is_the_least_squares_of_least_norm():
+    theta = np.random.default_rng(0).normal(size=(30, 4))
+    problem = RegressionProblem.from_arrays(theta[:, [0, 1, 2, 3, 0]], theta @ [1.0, 0.3, 0.1, 0.0])
+    lost, small = (
+        backends.get("adaptive-lasso", pilot_ridge=ridge).penalty(problem).weights
+        for ridge in (1e-30, 1e-9)
+    )
+    assert lost[:3] == pytest.approx(small[:3], rel=1e-5)
+    assert lost[0] < 0.5 * lost[2]
+
+
+def single(problem, target=0):
+    return RegressionProblem.from_arrays(problem.theta, problem.target[:, [target]], problem.groups)
+
+
+def test_separate_is_one_problem_per_target_at_a_common_penalty():
+    problem = regular(6)
+    backend = backends.get("group-lasso", alpha_fraction=0.2, separate=True)
+    together = backend.solve(problem).weights
+    top = alpha_max(problem.statistics.cross, backend.penalty(problem))
+    for t in range(2):
+        alone = single(problem, t)
+        own = alpha_max(alone.statistics.cross, backend.penalty(alone))
+        one = backends.get("group-lasso", alpha_fraction=0.2 * top / own).solve(alone)
+        assert together[:, [t]] == pytest.approx(one.weights, abs=1e-5)
+
+
+@pytest.mark.parametrize("separate", [True, False])
+def test_a_fit_names_the_kernel_that_ran(monkeypatch, separate):
+    problem, backend = regular(3), backends.get("group-lasso", separate=separate)
+    usual = sf.path(problem, backend).fits[15]
+    assert usual.solver_status == "variational, all columns"
+    monkeypatch.setattr("sparsefit.solvers.kernels.compiled", lambda name: None)
+    found = sf.path(problem, backend).fits[15]
+    assert found.solver_status == "newton, all columns"
+    assert found.weights == pytest.approx(usual.weights, rel=1e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize("separate", [False, True])
+@pytest.mark.parametrize("fraction", [1.0, 0.6, 0.3, 0.1, 1e-3])
+@pytest.mark.parametrize("group_weights", ["unit", "sqrt-size"])
+def test_a_point_on_the_groups_that_pull_is_the_point_on_all(separate, fraction, group_weights):
+    """The Gram matrix is not formed for one point alone."""
+    alone, whole = regular(groups=40, samples=400), regular(groups=40, samples=400)
+    setting = {"separate": separate, "group_weights": group_weights}
+    backend = backends.get("group-lasso", alpha_fraction=fraction, **setting)
+    few = sf.fit(alone, backend)
+    assert few.status == "ok"
+    assert "gram" not in vars(alone.design)
+    assert whole.statistics.gram.shape == (120, 120)
+    every = sf.fit(whole, backend)
+    np.testing.assert_allclose(few.weights, every.weights, rtol=1e-9, atol=1e-12)
+    assert few.certificate.value < 1e-10
+
+
+UNEQUAL = [0, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3]
+WAVES = [0, 1, 1, 2, 2, 3, 4, 4, 5, 5, 6, 6]  # within the groups above
+
+
+def nested(seed=2, subgroups=WAVES):
+    plain = regular(seed)
+    return RegressionProblem.from_arrays(plain.theta, plain.target, UNEQUAL, subgroups=subgroups)
+
+
+@pytest.mark.parametrize(("ratio", "subgroups"), [(0.0, None), (0.3, None), (0.3, WAVES)])
+@pytest.mark.parametrize("separate", [True, False])
+def test_a_naive_model_of_the_rows_agrees(separate, ratio, subgroups):
+    problem = nested(subgroups=subgroups)
+    rms = np.sqrt(np.mean(problem.theta**2, axis=0))
+    z, y, m = problem.theta / rms, problem.target, problem.samples
+    backend = backends.get(
+        "sparse-group-lasso", l1_ratio=ratio, separate=separate, group_weights="sqrt-size"
+    )
+    alpha = 0.15 * alpha_max(problem.statistics.cross, backend.penalty(problem))
+    v, size = cp.Variable((12, 2)), 0.0
+    for part in ([0], [1]) if separate else ([0, 1],):
+        for g in range(4):
+            on = np.flatnonzero(np.array(UNEQUAL) == g)
+            size += (1 - ratio) * len(on) ** 0.5 * cp.norm(cp.vec(v[on][:, part], order="F"))
+        for h in range(7 if subgroups else 0):
+            on = np.flatnonzero(np.array(WAVES) == h)
+            size += ratio * cp.norm(cp.vec(v[on][:, part], order="F"))
+    if subgroups is None:
+        size += ratio * cp.sum(cp.abs(v))
+    model = cp.Problem(cp.Minimize(cp.sum_squares(y - z @ v) / (2 * m) + alpha * size))
+    model.solve(solver="CLARABEL", tol_gap_abs=1e-11, tol_gap_rel=1e-11)
+    found = sf.fit(problem, dataclasses.replace(backend, alpha_fraction=0.15))
+    assert (found.status, found.repaired) == ("ok", False)
+    assert found.certificate.primal == pytest.approx(model.value, rel=1e-8)
+    assert found.weights * rms[:, None] == pytest.approx(v.value, abs=1e-4)
+    other = sf.fit(problem, dataclasses.replace(found.backend, solver="clarabel"))
+    assert other.status == "ok", other.reason
+    assert other.certificate.primal == pytest.approx(found.certificate.primal, rel=1e-8)
+
+
+def test_a_path_that_is_cut_short_is_reported_as_incomplete(monkeypatch):
+    monkeypatch.setattr("sparsefit.solvers.newton.OUTER", 1)
+    problem = nested()
+    backend = backends.get("sparse-group-lasso")
+    assert backend.solve(problem).status == "inaccurate"
+    found = sf.fit(problem, backend)  # the referee repairs it
+    assert (found.status, found.repaired) == ("ok", True)
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.05])
+@pytest.mark.parametrize("ratio", [0.9, 0.2])
+def test_scikit_learns_elastic_net_agrees(ratio, fraction):
+    problem = regular(4)
+    s = problem.statistics
+    unit = float(np.sqrt(s.target_square.mean()))
+    backend = backends.get("elastic-net", alpha_fraction=fraction, l1_ratio=ratio)
+    alpha = fraction * alpha_max(s.cross, backend.penalty(problem))
+    peer = peers.ElasticNet(
+        alpha / unit, l1_ratio=ratio, fit_intercept=False, tol=1e-12, max_iter=100_000
+    )
+    expected = peer.fit(problem.theta / s.rms, problem.target / unit).coef_.T * unit
+    found = sf.fit(problem, backend)
+    assert found.status == "ok"
+    assert found.weights * s.rms[:, None] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("fraction", [1.0, 1e-3, 1e-6])
+def test_scikit_learns_ridge_agrees(fraction):
+    problem = regular(5)
+    rms, m, k = problem.statistics.rms, problem.samples, problem.columns
+    peer = peers.Ridge(fraction * k * m, fit_intercept=False, solver="svd")
+    expected = peer.fit(problem.theta / rms, problem.target).coef_.T
+    found = sf.fit(problem, backends.get("ridge", alpha_fraction=fraction))
+    assert found.status == "ok"
+    assert found.weights * rms[:, None] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_ridge_that_rounds_away_is_least_squares():
+    found = sf.fit(regular(), backends.get("ridge", alpha_fraction=1e-300))
+    assert found.status == "inaccurate" or found.certificate.bound <= 1e-8
+    least = sf.fit(regular(), "least-squares").weights
+    np.testing.assert_allclose(found.weights, least, atol=1e-12)
+
+
+@given(seed=st.integers(0, 10**6), ratio=st.floats(0.05, 1.0), size=st.floats(0.0, 2.0))
+@settings(max_examples=12)
+def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, ratio, size):
+    """k more rows sqrt(m mu) I with targets of zero, whatever the weights."""
+    problem, rng = regular(seed), np.random.default_rng(seed)
+    s, backend = problem.statistics, backends.get("elastic-net", l1_ratio=ratio)
+    penalty, m, k = backend.penalty(problem), problem.samples, problem.columns
+    alpha = 0.1 * alpha_max(s.cross, penalty)
+    exact = sf.fit(problem, backend)
+
+    weights = exact.weights + size * rng.normal(size=exact.weights.shape) / s.rms[:, None]
+    lift = np.diag(np.sqrt(m * alpha * penalty.ridge) * s.rms)
+    design = Design(np.vstack([problem.theta, lift]), m)
+    target = np.vstack([problem.target, np.zeros((k, 2))])
+    norms = AbsoluteValues(s.rms / design.rms)  # in columns of the unit that these rows have
+    (expected,) = duality_gaps(design, target, weights[None], np.array([alpha * ratio]), norms)
+    (found,) = duality_gaps(
+        problem.design, problem.target, weights[None], np.array([alpha]), penalty
+    )
+    assert found.primal == pytest.approx(expected.primal, rel=1e-12)
+    assert found.dual == pytest.approx(expected.dual, rel=1e-10)
+    assert found.value == pytest.approx(expected.value, rel=1e-9, abs=1e-12)
+
+
+def test_a_ridges_gap_by_hand():
+    # Z = (1, 1), y = (3, 1): G = 1, c = 2, y^2/m = 5. alpha = fraction * k = 1/2, v = 1 in place of
+    # c/(1 + alpha) = 4/3: P = (5 - 2*2 + 1)/2 + 1/4 = 5/4. C = 1, r = 2, q = 3, F = C/alpha = 2,
+    # r' = 2 + 4/2 = 4, s = 3/4, D = 9/4 - 9/8 = 9/8: the gap is 1/8 over 5/2.
+
+    problem = RegressionProblem.from_arrays(np.ones((2, 1)), [3.0, 1.0])
+    penalty = backends.get("ridge").penalty(problem)
+    weights, alpha = np.ones((1, 1, 1)), np.array([0.5])
+    (gap,) = duality_gaps(problem.design, problem.target, weights, alpha, penalty)
+    assert (gap.primal, gap.dual) == pytest.approx((1.25, 1.125))
+    assert gap.value == pytest.approx(0.05)
+    found = sf.fit(problem, backends.get("ridge", alpha_fraction=0.5))
+    assert found.weights.item() == pytest.approx(4 / 3)
+
+
+DRAW = np.random.default_rng(0)
+THETA = DRAW.normal(size=(60, 12)) * np.geomspace(0.1, 10.0, 12)
+TARGET = THETA @ DRAW.normal(size=(12, 2)) + 0.1 * DRAW.normal(size=(60, 2))
+PROBLEM = sf.RegressionProblem.from_arrays(THETA, TARGET)
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-0.1, 0.2), (0.0, 0.3), (None, 0.1)])
+def test_bounds_that_bind_are_certified_and_agree_with_scipy(lower, upper):
+    backend = backends.get("box-lasso", lower=lower, upper=upper)
+    path = sf.path(PROBLEM, backend, [1.0, 0.3, 0.03, 1e-9])
+    assert all(fit.status == "ok" for fit in path.fits)
+    assert not any(fit.repaired for fit in path.fits)
+    bounds = (-np.inf if lower is None else lower, upper)
+    for weights, target in zip(path.weights[-1].T, TARGET.T, strict=True):
+        expected = lsq_linear(THETA, target, bounds, method="bvls", tol=1e-14).x
+        assert weights == pytest.approx(expected, abs=1e-6)
+        assert (weights == upper).sum() >= 2
+
+
+def test_cvxpy_agrees_on_more_columns_than_samples():
+    theta, target = DRAW.normal(size=(30, 700)), DRAW.normal(size=(30, 1))
+    problem = sf.RegressionProblem.from_arrays(theta, target)
+    backend = backends.get("box-lasso", lower=-0.02, upper=0.03, alpha_fraction=0.1)
+    found = sf.fit(problem, backend)
+    weights = cvxpy.Variable((700, 1))
+    size = cvxpy.sum(cvxpy.abs(cvxpy.multiply(problem.design.rms[:, None], weights)))
+    cost = cvxpy.sum_squares(target - theta @ weights) / 60 + found.alpha * size
+    program = cvxpy.Problem(cvxpy.Minimize(cost), [weights >= -0.02, weights <= 0.03])
+    program.solve(solver="CLARABEL")
+    assert found.status == "ok"
+    assert found.certificate.primal == pytest.approx(program.value, rel=1e-7)
+    assert (np.abs(found.weights - 0.03) < 1e-15).sum() > 10
+
+
+@dataclass(frozen=True, eq=False)
+class Share(Penalty):
+    """|V|_1 where -2 <= V/b <= 1, infinite elsewhere."""
+
+    count: int
+    bound: float = 0.25
+
+    @property
+    def columns(self):
+        return self.count
+
+    def norm(self, values):
+        within = (np.abs(values + self.bound / 2) <= 1.5001 * self.bound).all(axis=(-2, -1))
+        return np.where(within, np.abs(values).sum(axis=(-2, -1)), np.inf)
+
+    def dual_norm(self, values):
+        return np.abs(values).max(axis=-2)
+
+    def conjugate(self, values, alpha):
+        gain = np.maximum(values - alpha, np.maximum(-2 * (values + alpha), 0))
+        return self.bound * gain.sum(axis=-2)
+
+    def in_units(self, level):
+        return replace(self, bound=self.bound / level)
+
+    def prox(self, values, step):
+        shrunk = np.sign(values) * np.maximum(np.abs(values) - step, 0)
+        return np.clip(shrunk, -2 * self.bound, self.bound)
+
+
+@dataclass(frozen=True)
+class Shares(PenalisedPath):
+    name: ClassVar[str] = "shares"
+
+    def penalty(self, problem):
+        return Share(problem.columns)
+
+
+def test_a_users_box_is_certified_by_its_conjugate():
+    unit = THETA / PROBLEM.design.rms
+    problem = sf.RegressionProblem.from_arrays(unit, unit @ DRAW.normal(size=(12, 2)))
+    fractions = [0.5, 0.1, 1e-3]
+    assert not Share(12).constraint(np.ones((3, 12, 2))).any()
+    assert Share(12).constraint(np.ones((3, 12, 2))).shape == (3, 2)
+    path = sf.path(problem, Shares(), fractions)
+    assert all(fit.status == "ok" for fit in path.fits)
+    ours = sf.path(problem, backends.get("box-lasso", lower=-0.5, upper=0.25), fractions)
+    assert path.weights == pytest.approx(ours.weights, abs=1e-8)
+    assert np.isclose(path.weights[-1], 0.25, rtol=1e-12).any()
+
+
+def test_bounds_that_do_not_bind_beside_some_that_do_cost_no_certificate():
+    """In columns of units far apart the bounds are, too; each is where C meets alpha or is not."""
+    theta = THETA * np.geomspace(1e-6, 1e6, 12)
+    problem = sf.RegressionProblem.from_arrays(theta, TARGET)
+    path = sf.path(problem, backends.get("box-lasso", lower=-2.0, upper=1e3), [0.5, 0.03, 1e-3])
+    assert all(fit.status == "ok" for fit in path.fits)
+    assert 0 < (path.weights[-1] == -2.0).sum() + (path.weights[-1] == 1e3).sum() < 12
+
+
+FRACTIONS = [0.7, 0.1, 0.01, 0.001]
+
+
+def fitted(problem, fraction=0.1, **more):
+    return sf.fit(problem, backends.get("square-root-lasso", alpha_fraction=fraction, **more))
+
+
+def level(values, samples):
+    return np.sqrt(np.sum(values**2) / samples)
+
+
+def test_orthonormal_columns_by_hand():
+    """Soft thresholds at t = a rho/y, with rho^2 = y^2 - |C|^2 + sum min(|C|, t)^2."""
+    problem = orthonormal()
+    s = problem.statistics
+    size, square = np.abs(s.cross), s.target_square.sum()
+    alpha = 0.4 * size.max()
+    low, high = 0.0, size.max()
+    for _ in range(200):
+        middle = (low + high) / 2
+        rho = np.sqrt(square - np.sum(size**2) + np.sum(np.minimum(size, middle) ** 2))
+        low, high = (middle, high) if middle < alpha * rho / np.sqrt(square) else (low, middle)
+    expected = np.sign(s.cross) * np.maximum(size - low, 0.0)
+    assert 0 < np.count_nonzero(expected) < expected.size
+    assert fitted(problem, 0.4).weights * s.rms[:, None] == pytest.approx(expected, abs=1e-9)
+
+
+def test_cones_agree():
+    problem = regular(3)
+    expected, found = fitted(problem), fitted(problem, solver="clarabel")
+    size = np.abs(expected.weights).max()
+    assert found.weights == pytest.approx(expected.weights, abs=1e-4 * size)
+    assert found.certificate.primal == pytest.approx(expected.certificate.primal, rel=1e-8)
+    assert found.certificate.value < 1e-4
+    assert not found.repaired
+
+
+@pytest.mark.parametrize("unit", [1e-120, 1e120])
+def test_the_unit_of_the_target_does_not_matter(unit):
+    problem = regular()
+    scaled = RegressionProblem.from_arrays(problem.theta, problem.target * unit, problem.groups)
+    found = fitted(scaled)
+    assert found.status == "ok"
+    np.testing.assert_allclose(found.weights / unit, fitted(problem).weights, atol=1e-12)
+
+
+def test_a_solution_is_one_of_the_lasso_at_the_penalty_that_its_residual_sets():
+    problem = flight_problem(velocity_noise=0.3)
+    found = fitted(problem, 0.05)
+    residual = problem.target - problem.theta @ found.weights
+    fraction = 0.05 * np.linalg.norm(residual) / np.linalg.norm(problem.target)
+    lasso = sf.fit(problem, backends.get("lasso", alpha_fraction=fraction))
+    assert found.weights == pytest.approx(lasso.weights, abs=1e-9 * np.abs(lasso.weights).max())
+
+
+def test_one_penalty_suits_every_noise():
+    """y alpha, in the unit of Z'R/(sqrt(m) |R|), holds the noise out whatever its size is."""
+    rng = np.random.default_rng(0)
+    theta, noise = rng.normal(size=(200, 30)), rng.normal(size=(200, 1))
+    supports = []
+    for size in (1.0, 0.1, 0.01):
+        problem = RegressionProblem.from_arrays(
+            theta, 3.0 * theta[:, :2] @ [[1.0], [1]] + size * noise
+        )
+        s = problem.statistics
+        largest = np.abs(s.cross).max() / np.sqrt(s.target_square.sum())
+        found = fitted(problem, 4.0 / np.sqrt(problem.samples) / largest)
+        supports.append(found.support.tolist())
+    assert supports == [[0, 1]] * 3
+
+
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
+def test_degenerate_problems_have_certificates_that_are_proven_bounds(kind):
+    problem = degenerate(kind, 2)
+    backend = backends.get("square-root-lasso")
+    along = sf.path(problem, backend, FRACTIONS)
+    assert along.gaps.max() < 1e-9
+    assert all(fit.certificate.bound <= 1e-8 for fit in along.fits)
+    for fit in along.fits:
+        residual = problem.target - problem.theta @ fit.weights
+        size = np.abs(fit.weights * problem.statistics.rms[:, None]).sum()
+        loss = level(problem.target, problem.samples) * level(residual, problem.samples)
+        assert fit.certificate.primal == pytest.approx(loss + fit.alpha * size, rel=1e-9)
+
+
+def test_the_gap_sees_what_is_not_optimal():
+    problem = regular(5)
+    found = fitted(problem)
+    s, penalty = problem.statistics, found.backend.penalty(problem)
+    alpha = 0.1 * alpha_max(s.cross, penalty)
+    least = found.certificate.primal
+    for factor in (0.0, 0.9, 1.01):
+        weights, alphas = factor * found.weights[None], np.array([alpha])
+        (moved,) = duality_gaps(problem.design, problem.target, weights, alphas, penalty)
+        assert moved.value >= (moved.primal - least) / s.target_square.sum() - 1e-12
+        assert moved.value > 1e-5
+
+
+def test_an_exact_fit_that_is_certified_has_no_reason_for_doubt():
+    found = fitted(flight_problem(4.0), 0.1)
+    assert (found.status, found.reason) == ("ok", "")
+    assert found.solver_status.startswith("root of the scaled path")
+    assert found.certificate.bound <= 1e-9
+
+
+def test_sparse_columns_that_descend_are_not_taken_to_an_exact_fit(monkeypatch):
+    rng = np.random.default_rng(2)
+    theta = sparse.random_array((30, 80), density=0.2, rng=rng, format="csc")
+    target = theta @ (np.arange(80) < 3) + 0.01 * rng.normal(size=30)
+    problem = RegressionProblem.from_arrays(theta + 0.1 * sparse.eye_array(30, 80), target)
+    backend = backends.get("square-root-lasso")
+    exact = sf.path(problem, backend, (0.5, 1e-4))
+    assert [fit.status for fit in exact.fits] == ["ok", "ok"]
+    monkeypatch.setattr("sparsefit.solvers.exact.FEW", 20)
+    first, last = backend.solve_path(problem, (0.5, 1e-4))
+    assert (first.status, last.status) == ("ok", "inaccurate")
+    assert "descent" in first.solver_status
+    np.testing.assert_allclose(first.weights, exact.fits[0].weights, atol=1e-7)
+
+
+def test_orthonormal_columns_are_kept_shrunk_or_dropped():
+    """Firm thresholding of |C_g| (Breheny and Huang 2015): 0, gamma/(gamma - 1) soft, identity."""
+    problem, gamma = orthonormal(3), 1.5
+    backend = backends.get("group-mcp", gamma=gamma, alpha_fraction=0.6)
+    s, found = problem.statistics, sf.fit(problem, backend)
+    alpha, kinds = 0.6 * alpha_max(s.cross, backend.penalty(problem)), set()
+    for g in range(2):
+        pull = s.cross[problem.groups == g]
+        norm = np.linalg.norm(pull)
+        shrunk = pull * max(1 - alpha / norm, 0.0) * gamma / (gamma - 1)
+        expected = pull if norm > gamma * alpha else shrunk
+        kinds.add((norm > gamma * alpha, bool(shrunk.any())))
+        ours = (found.weights * s.rms[:, None])[problem.groups == g]
+        assert ours == pytest.approx(expected, abs=1e-6)
+    assert len(kinds) > 1
+    assert found.certificate.kind == "fixed_point"
+    assert found.certificate.value < 1e-9
+
+
+@given(seed=st.integers(0, 10**6), fraction=st.floats(0.01, 1.0), gamma=st.floats(1.5, 10.0))
+@settings(max_examples=12)
+def test_every_answer_is_stationary(seed, fraction, gamma):
+    """C_g = (alpha omega_g - |V_g|/gamma)_+ V_g/|V_g|, and |C_g| <= alpha omega_g at zero."""
+    problem = regular(seed)
+    backend = backends.get("group-mcp", alpha_fraction=fraction, gamma=gamma)
+    found, s = sf.fit(problem, backend), problem.statistics
+    assert found.status == "ok"
+    assert found.certificate.value < 1e-9
+    values = found.weights * s.rms[:, None]
+    alpha = fraction * alpha_max(s.cross, backend.penalty(problem))
+    slope = s.cross - s.gram @ values
+    for g in range(4):
+        on = problem.groups == g
+        norm = np.linalg.norm(values[on])
+        if norm == 0:
+            assert np.linalg.norm(slope[on]) <= alpha * (1 + 1e-6)
+        else:
+            pull = max(alpha - norm / gamma, 0.0) * values[on] / norm
+            assert slope[on] == pytest.approx(pull, abs=1e-4 * alpha)
+
+
+@pytest.mark.parametrize("kind", DEGENERATE_KINDS)
+def test_degenerate_problems_end_at_a_fixed_point(kind):
+    along = sf.path(degenerate(kind, 2), backends.get("group-mcp"), [1.0, 0.3, 0.05])
+    assert [fit.status for fit in along.fits] == ["ok"] * 3
+    assert not along.fits[0].weights.any()
+
+
+def test_it_lets_a_flights_length_scale_go_free():
+    problem = flight_problem(length_scale=4.0)
+    found = sf.fit(problem, backends.get("group-mcp", alpha_fraction=0.2))
+    plain = sf.fit(problem, backends.get("group-lasso", alpha_fraction=0.2))
+    square = [np.sum((problem.target - problem.theta @ fit.weights) ** 2) for fit in (found, plain)]
+    assert square[0] < 1e-3 * square[1]
+
+
+def test_the_penalty_can_be_chosen():
+    problem = regular(7, noise=1.0)
+    found = sf.fit(problem, backends.get("group-mcp", alpha_fraction="auto"))
+    assert found.status == "ok"
+    assert set(found.support) <= {0, 1, 2}
+
+
+def test_weights_that_still_move_are_inaccurate():
+    crawling = backends.get("group-mcp", alpha_fraction=0.99, gamma=1.0001)
+    column = np.linspace(1.0, 3.0, 20)
+    found = sf.fit(RegressionProblem.from_arrays(column[:, None], column), crawling)
+    assert found.certificate.value > 1e-8
+    assert (found.status, found.solver_status) == ("inaccurate", "still moving")
+    assert "still move after 100 approximations" in found.reason
