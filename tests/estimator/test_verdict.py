@@ -40,6 +40,12 @@ def test_without_noise_errors_are_below_a_millionth(seed):
     assert found.grid_length_scale == 4.2
 
 
+def test_a_flow_slower_than_a_metre_a_second_is_read_on_the_grid():
+    found = sf.Estimator(readout=sf.Readout(refine="none")).estimate(fly(sf.CellularFlow(0.5, 4.2)))
+    assert (found.status, found.length_scale) == ("ok", 4.2)
+    assert found.mean_velocity == pytest.approx(0.5, rel=1e-3)
+
+
 def test_every_back_end_that_lands_anywhere_is_refined_to_the_same_scale():
     flight = flown(FLOW, seed=7, noise=(0.1, 0.02))
     estimator = sf.Estimator()

@@ -170,6 +170,7 @@ def test_a_wave_that_drifts_is_seen_in_pieces():
     scan = WaveScan.of(rows, (0.3, 2.0), 3.0)
     assert scan.pieces >= 4
     gains, omega = scan.gains(rows.rest)
+    assert 0.0 == gains.min() < 0.6 * rows.square < gains.max() < 1.1 * rows.square
     i, j = np.unravel_index(np.argmax(gains), gains.shape)
     seen = np.array([*scan.axis[[i, j]], omega[i, j]])
     apart = [np.abs((s * np.array([1.2, -0.5, 1.7]) - seen) / scan.steps).max() for s in (1, -1)]

@@ -376,8 +376,9 @@ def test_a_straight_line_tells_no_vehicle():
     time = np.arange(500) / 100.0
     position = np.column_stack([10 * time + np.sin(time), np.full(500, 2.0)])
     velocity = np.column_stack([10 + np.cos(time), np.zeros(500)])
-    flight = sf.Flight(time=time, position=position, velocity=velocity, vehicle=VEHICLE)
-    with pytest.raises(InputError, match="too straight"):
+    line = sf.Flight(time=time, position=position, velocity=velocity, vehicle=VEHICLE)
+    flights = [Derivative()(own) for own in (flight(), line)]
+    with pytest.raises(InputError, match=r"^flight 2: a candidate .*too straight"):
         Library(SMALL_GRID, unknown=("thrust_acceleration",)).build(
-            [Derivative()(flight)], [VEHICLE]
+            flights, [VEHICLE] * 2, (1.0, 1.0)
         )

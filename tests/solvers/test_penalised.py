@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import cvxpy
-import cvxpy as cp
 import numpy as np
 import pytest
 import sklearn.linear_model as peers
@@ -140,17 +139,17 @@ def test_a_naive_model_of_the_rows_agrees(separate, ratio, subgroups):
         "sparse-group-lasso", l1_ratio=ratio, separate=separate, group_weights="sqrt-size"
     )
     alpha = 0.15 * alpha_max(problem.statistics.cross, backend.penalty(problem))
-    v, size = cp.Variable((12, 2)), 0.0
+    v, size = cvxpy.Variable((12, 2)), 0.0
     for part in ([0], [1]) if separate else ([0, 1],):
         for g in range(4):
             on = np.flatnonzero(np.array(UNEQUAL) == g)
-            size += (1 - ratio) * len(on) ** 0.5 * cp.norm(cp.vec(v[on][:, part], order="F"))
+            size += (1 - ratio) * len(on) ** 0.5 * cvxpy.norm(cvxpy.vec(v[on][:, part], order="F"))
         for h in range(7 if subgroups else 0):
             on = np.flatnonzero(np.array(WAVES) == h)
-            size += ratio * cp.norm(cp.vec(v[on][:, part], order="F"))
+            size += ratio * cvxpy.norm(cvxpy.vec(v[on][:, part], order="F"))
     if subgroups is None:
-        size += ratio * cp.sum(cp.abs(v))
-    model = cp.Problem(cp.Minimize(cp.sum_squares(y - z @ v) / (2 * m) + alpha * size))
+        size += ratio * cvxpy.sum(cvxpy.abs(v))
+    model = cvxpy.Problem(cvxpy.Minimize(cvxpy.sum_squares(y - z @ v) / (2 * m) + alpha * size))
     model.solve(solver="CLARABEL", tol_gap_abs=1e-11, tol_gap_rel=1e-11)
     found = sf.fit(problem, dataclasses.replace(backend, alpha_fraction=0.15))
     assert (found.status, found.repaired) == ("ok", False)
