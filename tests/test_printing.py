@@ -5,20 +5,13 @@ import re
 import pytest
 
 import sparsefit as sf
+from tests.problems import fly
 
 
 @pytest.fixture(scope="module")
 def steps():
-    flow, vehicle = sf.CellularFlow(12.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
-    flight = sf.simulate_flight(
-        flow,
-        vehicle,
-        duration=8.0,
-        sample_rate=50.0,
-        seed=1,
-        velocity_noise=0.2,
-        position_noise=0.05,
-    )
+    flow = sf.CellularFlow(12.0, 4.0)
+    flight = fly(flow, duration=8.0, rate=50.0, seed=1, noise=(0.2, 0.05))
     estimator = sf.Estimator()
     prepared = estimator.prepare(flight)
     fit = estimator.fit(prepared)
@@ -52,10 +45,7 @@ def test_an_estimate_is_one_line_with_its_standard_errors(steps):
 
 
 def test_an_estimate_that_is_refused_tells_why():
-    still = sf.simulate_flight(
-        None, sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=5.0, sample_rate=50.0, seed=1,
-        velocity_noise=0.2,
-    )  # fmt: skip
+    still = fly(None, duration=5.0, rate=50.0, seed=1, noise=(0.2, 0.0))
     answer = sf.Estimator().estimate(still)
     assert str(answer) == f"unidentifiable: {answer.reason}"
     assert answer.reason.startswith("no cellular flow detected")

@@ -10,6 +10,7 @@ import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.onboard import c_source
 from tests.cli import verbs
+from tests.problems import fly
 
 GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 
@@ -34,10 +35,7 @@ def refused(capsys, *arguments):
 
 
 def test_an_export_is_a_folder_that_builds_and_replays(saved, tmp_path, capsys):
-    flight = sf.simulate_flight(
-        sf.CellularFlow(mean_velocity=15.43, length_scale=4.21),
-        sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=3.0, sample_rate=50.0, seed=1,
-    )  # fmt: skip
+    flight = fly(sf.CellularFlow(15.43, 4.21), duration=3.0, rate=50.0, seed=1)
     sf.write_flight(flight, tmp_path / "flight.csv")
     folder = tmp_path / "flow"
     given = ["--c", str(folder), "--float", "--flight", str(tmp_path / "flight.csv")]

@@ -7,20 +7,14 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.logs.checks import LogQuality, check_log
+from tests.problems import VEHICLE, fly
 
-VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
-NOISE = {"velocity_noise": 0.2, "position_noise": 0.05}
-
-
-def flown(seed=7, rate=100.0, **noise):
-    return sf.simulate_flight(
-        sf.CellularFlow(15.43, 4.21), VEHICLE, duration=10.0, sample_rate=rate, seed=seed, **noise
-    )
+FLOW = sf.CellularFlow(15.43, 4.21)
 
 
 @pytest.fixture(scope="module")
 def flight():
-    return flown(**NOISE)
+    return fly(FLOW, seed=7, noise=(0.2, 0.05))
 
 
 def refused(flight, **options):
@@ -30,10 +24,10 @@ def refused(flight, **options):
 
 
 @pytest.mark.parametrize("rate", [100.0, 10.0, 6.0])
-@pytest.mark.parametrize("noise", [{}, {"velocity_noise": 0.5, "position_noise": 0.2}])
+@pytest.mark.parametrize("noise", [(0.0, 0.0), (0.5, 0.2)])
 def test_flights_are_not_refused(rate, noise):
     for seed in range(4):
-        check_log(flown(seed, rate, **noise), smallest=1.0)
+        check_log(fly(FLOW, seed=seed, rate=rate, noise=noise), smallest=1.0)
 
 
 def test_a_gap_of_ten_minutes(flight):

@@ -16,6 +16,7 @@ from sparsefit.onboard import c_source
 from sparsefit.onboard.board import Board, board_of
 from sparsefit.onboard.c_source import package, ram
 from sparsefit.onboard.sweep import BoardDoubt, BoardSettings, features, rebased, waves
+from tests.problems import fly
 
 SETTINGS = BoardSettings(0.3, 0.0, 2.0, -1.0, 1.0, 2.0, 8.0, 0.03)
 FLOW = np.array([1.5, -1.0, 0.7, 1.8, 0.6, 0.7])
@@ -272,10 +273,8 @@ def test_a_flight_of_ones_own_with_thrust():
     thrust = turning(
         np.arange(6 * 50 + 2) / 50, constant=(0.0, 0.0), size=1.0, period=6.0, phase=0.0
     )
-    flight = sf.simulate_flight(
-        sf.CellularFlow(8.0, 4.0), sf.PointMassVehicle(0.5), duration=6.0, sample_rate=50.0, seed=1,
-        thrust=thrust,
-    )  # fmt: skip
+    flow, vehicle = sf.CellularFlow(8.0, 4.0), sf.PointMassVehicle(0.5)
+    flight = fly(flow, vehicle, duration=6.0, rate=50.0, seed=1, thrust=thrust)
     files = package(ESTIMATOR, flight=flight)
     assert b"time,x,y,vx,vy,ax,ay" in files["test/flight.csv"]
     assert len(files["test/reference.csv"].splitlines()) == 7

@@ -8,6 +8,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.plot import draw_estimate, draw_flow, encoded
 from sparsefit.plot.pictures import axis_unit, spectrum, vorticity
+from tests.problems import fly
 
 FLOW = sf.CellularFlow(15.43, 4.21)
 
@@ -15,10 +16,7 @@ FLOW = sf.CellularFlow(15.43, 4.21)
 @pytest.fixture(scope="module")
 def flown():
     """A flight, its estimator and its estimate."""
-    flight = sf.simulate_flight(
-        FLOW, sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=4.0, sample_rate=50.0, seed=7,
-        velocity_noise=0.2, position_noise=0.05,
-    )  # fmt: skip
+    flight = fly(FLOW, duration=4.0, rate=50.0, seed=7, noise=(0.2, 0.05))
     grid = sf.model.LengthScaleGrid(3.0, 6.0, 0.5)
     estimator = sf.Estimator(library=sf.Library(grid), readout=sf.Readout(refine="none"))
     return flight, estimator, estimator.estimate(flight)
@@ -82,9 +80,7 @@ def test_a_map_holds_all_tracks_and_the_vorticity_of_the_flow(flown):
 
 def test_the_residual_of_a_flight_without_noise_is_within_the_frame(flown):
     _, estimator, estimate = flown
-    flight = sf.simulate_flight(
-        FLOW, sf.PointMassVehicle(0.5, (5.0, 3.0)), duration=4.0, sample_rate=50.0, seed=7
-    )
+    flight = fly(FLOW, duration=4.0, rate=50.0, seed=7)
     exact = replace(estimate, flow=FLOW, length_scale=4.21)
     figure = draw_estimate(exact, estimator, [flight], "x")
     power, (low, high) = figure.axes[3], figure.axes[3].get_ylim()
