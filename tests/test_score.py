@@ -10,6 +10,7 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.score import strongest
+from tests.problems import fly
 
 FLOW = sf.CellularFlow(mean_velocity=10.0, length_scale=4.0)  # timescale 0.4 s
 SCALES = np.array([3.0, 3.9, 4.3, 5.0])
@@ -111,10 +112,7 @@ class Offset:
 
 
 def others(flow):
-    vehicle = sf.PointMassVehicle(0.5, (5.0, 3.0))
-    return [
-        sf.simulate_flight(flow, vehicle, duration=1.0, sample_rate=20.0, seed=s) for s in (1, 2)
-    ]
+    return [fly(flow, duration=1.0, rate=20.0, seed=seed) for seed in (1, 2)]
 
 
 def test_prediction_error_is_the_relative_miss_along_other_flights():
@@ -141,14 +139,12 @@ def test_prediction_needs_flights_that_know_their_flow():
 
 
 def test_an_estimate_predicts_its_flow():
-    flow, vehicle = sf.CellularFlow(10.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
-    windy = sf.flows.SuperposedFlow((flow,), (1.0, -0.5))
-    flight = sf.simulate_flight(windy, vehicle, duration=10.0, sample_rate=100.0, seed=4)
-    known = sf.Estimator(library=sf.Library(unknown=("wind",))).estimate(flight)
+    windy = sf.flows.SuperposedFlow((FLOW,), (1.0, -0.5))
+    known = sf.Estimator(library=sf.Library(unknown=("wind",))).estimate(fly(windy, seed=4))
     assert known.status == "ok"
     assert sf.score.prediction_error(known.flow, others(windy)) < 1e-3
     on_grid = sf.Estimator(backend="least-squares", readout=sf.Readout(refine="none"))
-    flight = sf.simulate_flight(flow, vehicle, duration=10.0, sample_rate=100.0, seed=4)
+    flight = fly(FLOW, seed=4)
     # the back-end's own weights fit the flight that they come from
     estimate = on_grid.estimate(flight)
     assert sf.score.prediction_error(estimate.flow, [flight]) < 0.1

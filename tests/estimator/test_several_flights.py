@@ -186,15 +186,8 @@ def test_nobody_can_tell_a_vehicle_where_there_is_no_flow():
 
 def test_goodness_is_the_flows_share_of_the_air():
     cells, gusts = sf.CellularFlow(10.0, 4.0), sf.flows.Turbulence(1.0, 8.0, seed=3)
-    vehicle = sf.PointMassVehicle(0.5, (5.0, 3.0))
-    noise = {"velocity_noise": 0.05, "position_noise": 0.01}
-    flights = [
-        sf.simulate_flight(
-            sf.flows.SuperposedFlow((cells, gusts)), vehicle, duration=10.0, sample_rate=50.0,
-            seed=seed, **noise,
-        )
-        for seed in (1, 2)
-    ]  # fmt: skip
+    flow = sf.flows.SuperposedFlow((cells, gusts))
+    flights = [fly(flow, rate=50.0, seed=seed, noise=(0.05, 0.01)) for seed in (1, 2)]
     found = sf.Estimator().estimate(flights)
     goodness, speed = found.goodness, found.mean_velocity
     # A component of cells has a mean square of U0^2/4; hardly any process noise is beside gusts.

@@ -17,7 +17,7 @@ from sparsefit.logs.files import read_table
 from sparsefit.logs.layout import Layout, Source
 from sparsefit.logs.plane import plane_of
 from tests.logs.log_writers import LANDED, LOCAL, igc, ulog, ulog_at, ulog_of
-from tests.problems import VEHICLE
+from tests.problems import VEHICLE, fly
 
 BUOY = sf.PointMassVehicle(60.0)
 DRIFTER = Path(__file__).parent / "shipped" / "drifter_079_head.csv"
@@ -241,8 +241,7 @@ RECORDING = igc(SECONDS, LATITUDE, LONGITUDE)
 
 @pytest.fixture(scope="module")
 def flight():
-    flow = sf.CellularFlow(15.43, 4.21)
-    return sf.simulate_flight(flow, VEHICLE, duration=3.0, sample_rate=50.0, seed=7)
+    return fly(sf.CellularFlow(15.43, 4.21), duration=3.0, rate=50.0, seed=7)
 
 
 def write(folder, name, content):

@@ -35,9 +35,8 @@ def slopes(function, point, step=1e-6):
 
 
 def flown(flow=TURNED, vehicle=VEHICLE, **changes):
-    options = {"duration": 9.0, "sample_rate": 50.0, "seed": 5}
-    noise = {"position_noise": 0.03, "velocity_noise": 0.1}
-    return sf.simulate_flight(flow, vehicle, **(options | noise | changes))
+    options = {"duration": 9.0, "rate": 50.0, "seed": 5, "noise": (0.1, 0.03)}
+    return fly(flow, vehicle, **(options | changes))
 
 
 def fed(board, flight, rows=slice(None)):

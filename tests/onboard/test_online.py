@@ -14,6 +14,7 @@ from sparsefit.estimator import Doubt
 from sparsefit.onboard import OnlineEstimator, Stream, as_flown, refusal
 from sparsefit.onboard import board as module
 from sparsefit.onboard.board import Board
+from tests.problems import fly
 
 VEHICLE = sf.PointMassVehicle(0.3, (6.0, -3.0))
 TURNED = sf.flows.ShapedCells(10.0, 4.21, heading=0.4)
@@ -24,9 +25,8 @@ compiled = pytest.mark.skipif(module.CompiledFlow is None, reason="there was no 
 
 
 def flown(flow=TURNED, vehicle=VEHICLE, **changes):
-    options = {"duration": 14.0, "sample_rate": 50.0, "seed": 7}
-    noise = {"position_noise": 0.05, "velocity_noise": 0.1}
-    return sf.simulate_flight(flow, vehicle, **(options | noise | changes))
+    options = {"duration": 14.0, "rate": 50.0, "seed": 7, "noise": (0.1, 0.05)}
+    return fly(flow, vehicle, **(options | changes))
 
 
 def samples_of(flight):
@@ -107,7 +107,7 @@ def test_turned_cells_are_never_ok_and_off(estimator):
     "flow", [None, sf.flows.Turbulence(4.0, 5.0, seed=3), sf.flows.SuperposedFlow((), (3.0, 1.0))]
 )
 def test_where_there_are_no_cells_nothing_is_ok(flow):
-    flight = flown(flow, duration=20.0, seed=2, velocity_noise=0.2, position_noise=0.0)
+    flight = flown(flow, duration=20.0, seed=2, noise=(0.2, 0.0))
     online = online_of()
     for stop in range(0, flight.samples, 50):
         assert fed(online, flight, stop, stop + 50).estimate().status != "ok"

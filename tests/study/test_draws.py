@@ -14,6 +14,7 @@ from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, fly
 from sparsefit.study.quantities import FlightWords
 from sparsefit.study.study import Study
+from tests.problems import VEHICLE
 from tests.study.small_study import small_study
 
 VALUES = {"mean_velocity": 8.0, "length_scale": 4.0, "duration": 2.0, "sample_rate": 50.0}
@@ -122,7 +123,6 @@ step = 1.0
 [[backends]]
 name = "group-lasso"
 """
-VEHICLE = sf.PointMassVehicle(0.5, (5.0, 3.0))
 
 
 @pytest.fixture(scope="module")
