@@ -12,17 +12,18 @@ functions. Run by hand, one group of worlds at a time:
 from __future__ import annotations
 
 import argparse
-import json
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 
 import sparsefit as sf
 
 STEP = 1.0 / 400.0  # of the integration [s]
+COUNTS = ("ok", "silent", "misfit", "named", "error")  # of what an estimator says
 MODES = 90  # Fourier modes of a turbulence
 Floats = np.ndarray
 Field = Callable[[Floats, Floats, float], tuple[Floats, Floats]]
@@ -135,13 +136,13 @@ def _cells(rng: np.random.Generator, world: World) -> Truth:
     size, angle = np.hypot(kx, ky), np.arctan2(ky, kx)
     angles = np.array([turn + angle + shear, turn - angle - shear])
     drift = rng.uniform(*flow["drift"]) * speed if "drift" in flow else 0.0
-    heading = rng.uniform(0, 2 * np.pi)
+    heading = _heading(rng.uniform(0, 2 * np.pi))
     rows = []
     for own in angles:
-        k = size * np.array([np.cos(own), np.sin(own)])
+        k = size * _heading(own)
         phase = rng.uniform(0, 2 * np.pi)
         height = speed / np.sqrt(2) / size
-        omega = drift * k @ [np.cos(heading), np.sin(heading)]
+        omega = drift * k @ heading
         rows.append([*k, omega, height * np.cos(phase), height * np.sin(phase)])
     if "second" in flow:
         share, other = rng.uniform(*flow["second"]), length * rng.choice([0.35, 0.5, 1.9, 2.6])
@@ -203,25 +204,6 @@ def _other(kind: str, rng: np.random.Generator) -> Field:
     return velocity
 
 
-@dataclass(frozen=True)
-class Draft:
-    """A flight before it is flown: all that is drawn of it but the noise of its log."""
-
-    rng: np.random.Generator
-    truth: Truth
-    duration: float
-    rate: float
-    vehicle: sf.PointMassVehicle
-    other: Field | None
-    gusts: Floats
-    gust_slopes: Floats
-    ahead: Floats
-    burst: Floats
-    period: float
-    start: Floats
-    kicks: Floats
-
-
 def draw(world: World, flights: int, seed: int, first: int = 0) -> list[tuple[sf.Flight, Truth]]:
     """Flights of a world with their truth, by a seed, from the first wanted on."""
     import zlib
@@ -237,46 +219,43 @@ def draw(world: World, flights: int, seed: int, first: int = 0) -> list[tuple[sf
     return drawn
 
 
-def _draft(world: World, rng: np.random.Generator) -> Draft:
-    truth, air = _cells(rng, world), world.air
-    duration = rng.uniform(*world.flow.get("duration", (10.0, 30.0)))
-    rate = rng.choice([20.0, 40.0, 50.0, 100.0])
+def _heading(angle: float) -> Floats:
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def _draft(world: World, rng: np.random.Generator) -> SimpleNamespace:
+    """A flight before it is flown: all that is drawn of it but the noise of its log."""
+    own, air = SimpleNamespace(rng=rng, truth=_cells(rng, world)), world.air
+    speed = own.truth.mean_velocity
+    own.duration = rng.uniform(*world.flow.get("duration", (10.0, 30.0)))
+    own.rate = rng.choice([20.0, 40.0, 50.0, 100.0])
     tau, push = rng.uniform(0.1, 0.5), rng.uniform(3, 8)
-    direction = rng.uniform(0, 2 * np.pi)
-    thrust = push * np.array([np.cos(direction), np.sin(direction)])
-    other = _other(air["field"], rng) if "field" in air else None
-    gusts, slopes = np.zeros((0, 5)), np.zeros((0, 2))
+    own.vehicle = sf.PointMassVehicle(tau, tuple(push * _heading(rng.uniform(0, 2 * np.pi))))
+    own.other = _other(air["field"], rng) if "field" in air else None
+    own.gusts, own.slopes = np.zeros((0, 5)), np.zeros((0, 2))
     if "turbulence" in air:
         share, kind = air["turbulence"]
-        speed = truth.mean_velocity
-        gusts, slopes = _turbulence(rng, kind, share * speed, truth.length_scale, speed)
-    heading = rng.uniform(0, 2 * np.pi)
-    ahead = np.array([np.cos(heading), np.sin(heading)])
-    burst, period = rng.uniform(0, 1, 3), rng.uniform(3, 8)
-    start = rng.uniform(-3, 3, 2)
-    steps = int(np.ceil((duration + 1.0) / STEP))
-    kicks = rng.normal(size=(steps, 2)) * air.get("q", 0.0) * np.sqrt(STEP)
-    vehicle = sf.PointMassVehicle(tau, tuple(thrust))
-    return Draft(
-        rng, truth, duration, rate, vehicle, other, gusts, slopes, ahead, burst, period, start,
-        kicks,
-    )  # fmt: skip
+        length = own.truth.length_scale
+        own.gusts, own.slopes = _turbulence(rng, kind, share * speed, length, speed)
+    own.ahead = speed * _heading(rng.uniform(0, 2 * np.pi))
+    own.burst, own.period = rng.uniform(0, 1, 3), rng.uniform(3, 8)
+    own.start = rng.uniform(-3, 3, 2)
+    steps = int(np.ceil((own.duration + 1.0) / STEP))
+    own.kicks = rng.normal(size=(steps, 2)) * air.get("q", 0.0) * np.sqrt(STEP)
+    return own
 
 
-def _flown(world: World, drafts: list[Draft]) -> Floats:
+def _flown(world: World, drafts: list[SimpleNamespace]) -> Floats:
     """The states (steps + 1, flights, 6) x, v and the relative wind that a lagging drag follows."""
 
-    def each(values: list) -> Floats:
-        return np.array(values)[:, None]
+    def each(name: str) -> Floats:
+        return np.array([getattr(own, name) for own in drafts])
 
     air, body, count = world.air, world.body, len(drafts)
     waves = np.array([own.truth.waves for own in drafts])
     along = waves[..., 1::-1] * [1, -1]
-    gusts = np.array([own.gusts for own in drafts])
-    slopes = np.array([own.gust_slopes for own in drafts])
-    duration = each([own.duration for own in drafts])
-    burst, period = np.array([own.burst for own in drafts]), each([own.period for own in drafts])
-    ahead = np.array([own.truth.mean_velocity * own.ahead for own in drafts])
+    gusts, slopes, ahead, burst = map(each, ("gusts", "slopes", "ahead", "burst"))
+    duration, period = each("duration")[:, None], each("period")[:, None]
 
     def summed(waves: Floats, slopes: Floats, x: Floats, t: float) -> Floats:
         phase = waves[..., 0] * x[:, :1] + waves[..., 1] * x[:, 1:] - waves[..., 2] * t
@@ -300,7 +279,7 @@ def _flown(world: World, drafts: list[Draft]) -> Floats:
             total += ahead * (air.get("wind", 0.0) + air.get("growth", 0.0) * t / duration)
         return total
 
-    tau = each([own.vehicle.response_time * body.get("tau", 1.0) for own in drafts])
+    tau = np.array([[own.vehicle.response_time * body.get("tau", 1.0)] for own in drafts])
     quadratic, lag = body.get("quadratic", 0.0), body.get("lag", 0.0)
     turn = np.radians(body.get("turn", 0.0))
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
@@ -321,7 +300,7 @@ def _flown(world: World, drafts: list[Draft]) -> Floats:
     for place, own in enumerate(drafts):
         kicks[: len(own.kicks), place] = own.kicks
     state = np.zeros((count, 6))
-    state[:, :2] = [own.start for own in drafts]
+    state[:, :2] = each("start")
     state[:, 2:4] = flow(state[:, :2], -0.5)
     every = np.empty((steps + 1, count, 6))
     for i in range(steps):
@@ -337,7 +316,7 @@ def _flown(world: World, drafts: list[Draft]) -> Floats:
     return every
 
 
-def _logged(every: Floats, draft: Draft, sensor: dict) -> sf.Flight:
+def _logged(every: Floats, draft: SimpleNamespace, sensor: dict) -> sf.Flight:
     from scipy.interpolate import CubicSpline
 
     rng, rate = draft.rng, draft.rate
@@ -360,8 +339,7 @@ def _logged(every: Floats, draft: Draft, sensor: dict) -> sf.Flight:
     v = v @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     x, v = x * sensor.get("position_scale", 1.0), v * sensor.get("velocity_scale", 1.0)
     if "bias" in sensor:
-        ahead = rng.uniform(0, 2 * np.pi)
-        v = v + sensor["bias"] * np.array([np.cos(ahead), np.sin(ahead)])
+        v = v + sensor["bias"] * _heading(rng.uniform(0, 2 * np.pi))
     noise = sensor.get("noise", (0.05, 0.2))
     tails = sensor.get("tails")
 
@@ -387,70 +365,45 @@ def _logged(every: Floats, draft: Draft, sensor: dict) -> sf.Flight:
 
 
 def answer(estimator: sf.Estimator, flight: sf.Flight, truth: Truth, world: World) -> dict:
-    """What an estimator says of a flight, as a row."""
-    start = time.process_time()
+    """What an estimator says of a flight; errors [%] and whether intervals hold where it is ok."""
+    start, row = time.process_time(), dict.fromkeys(COUNTS, False)
     try:
         e = estimator.estimate(flight)
-    except sf.InputError as error:
-        return {"world": world.name, "status": "error", "reason": str(error)}
-    row = {"world": world.name, "seconds": time.process_time() - start, "status": e.status,
-           "reason": e.reason, "samples": flight.samples, "shape": e.shape}  # fmt: skip
-    suspect = e.goodness.suspect if e.goodness else None
-    row["cause"] = str(suspect.cause) if suspect else ""
-    row["named"] = row["cause"] in world.causes or any(c in e.reason for c in world.causes)
-    for name in ("mean_velocity", "length_scale"):
+    except sf.InputError:
+        return row | {"error": True, "seconds": time.process_time() - start}
+    suspect = str(e.goodness.suspect.cause) if e.goodness and e.goodness.suspect else ""
+    named = suspect in world.causes or any(cause in e.reason for cause in world.causes)
+    row |= {name: e.status == name for name in ("ok", "misfit", "error")}
+    row |= {"named": row["misfit"] and named, "seconds": time.process_time() - start}
+    for name, symbol in (("mean_velocity", "U0"), ("length_scale", "L")) if row["ok"] else ():
         value, right = getattr(e, name), getattr(truth, name)
-        row[f"{name}_error"] = 100 * (value / right - 1)
+        row[symbol] = 100 * (value / right - 1)
         if e.uncertainty:
             low, high = getattr(e.uncertainty, f"{name}_interval")
-            row[f"{name}_holds"] = bool(low <= right <= high)
-            row[f"{name}_half"] = 100 * (high - low) / 2 / abs(value)
-    return row
-
-
-def line_of(rows: list[dict], *, cells: bool = True) -> str:
-    """A line of a table from the rows of a world."""
-    ok = [row for row in rows if row["status"] == "ok"]
-    misfit = [row for row in rows if row["status"] == "misfit"]
-    silent = sum(max(abs(r["mean_velocity_error"]), abs(r["length_scale_error"])) > 5 for r in ok)
-    parts = [f"{len(ok):3d}/{len(rows):3d} ok", f"{silent if cells else len(ok):2d} silent"]
-    for name, symbol in (("mean_velocity", "U0"), ("length_scale", "L")):
-        errors = np.array([row[f"{name}_error"] for row in ok])
-        holds = [row[f"{name}_holds"] for row in ok if f"{name}_holds" in row]
-        rms = np.sqrt(np.mean(errors**2)) if len(errors) else np.nan
-        median = np.median(np.abs(errors)) if len(errors) else np.nan
-        parts.append(f"{symbol} rms {rms:.2g} med {median:.2g} % holds {sum(holds)}/{len(holds)}")
-    parts.append(f"{len(misfit)} misfit, {sum(row['named'] for row in misfit)} named")
-    spent = [row["seconds"] for row in rows if "seconds" in row]
-    if spent:
-        parts.append(f"{1e3 * np.median(spent):.0f} ms, max {max(spent):.1f} s")
-    return "  ".join(parts)
+            row[f"{symbol} holds"] = float(low <= right <= high)
+    wrong = "field" in world.air or max(abs(row.get(name, 0.0)) for name in ("U0", "L")) > 5
+    return row | {"silent": row["ok"] and wrong}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("group", choices=GROUPS)
     parser.add_argument("--flights", type=int, default=10, help="of each world")
-    parser.add_argument("--seed", type=int, default=2026)
-    parser.add_argument("--only", default="", help="part of a world's name")
-    parser.add_argument("--precision", type=float, default=0.03)
     parser.add_argument("--auto", action="store_true", help='free="auto"')
-    parser.add_argument("--rows", help="file of JSON lines to append rows to")
     given = parser.parse_args()
     settings = {"free": "auto"} if given.auto else {}
-    estimator = sf.Estimator(readout=sf.Readout(precision=given.precision), **settings)
-    total = []
+    estimator = sf.Estimator(readout=sf.Readout(precision=0.03), **settings)
     for world in GROUPS[given.group]:
-        if given.only not in world.name:
-            continue
-        pairs = draw(world, given.flights, given.seed)
-        rows = [answer(estimator, flight, truth, world) for flight, truth in pairs]
-        total += rows
-        print(f"{world.name:22s}{line_of(rows, cells=given.group != 'none')}", flush=True)
-        if given.rows:
-            with open(given.rows, "a") as file:
-                file.writelines(json.dumps(row) + "\n" for row in rows)
-    print(f"{'all':22s}{line_of(total, cells=given.group != 'none')}", file=sys.stdout)
+        pairs = draw(world, given.flights, 2026)
+        rows = pd.DataFrame([answer(estimator, *pair, world) for pair in pairs])
+        words = [f"{rows[name].sum()} {name}" for name in COUNTS]
+        for symbol in ("U0", "L") if "L" in rows else ():
+            sizes, holds = rows[symbol].abs(), rows.get(f"{symbol} holds", rows[symbol] * np.nan)
+            words += [
+                f"{symbol} rms {np.sqrt((sizes**2).mean()):.2g} median {sizes.median():.2g} %"
+            ]
+            words += [f"holds {holds.sum():.0f}/{holds.count()}"]
+        print(f"{world.name:22s}", *words, f"{rows['seconds'].median():.2f} s", flush=True)
 
 
 if __name__ == "__main__":
