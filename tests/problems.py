@@ -50,14 +50,12 @@ def part(flight, rows):
 
 @cache
 def flight(length_scale=4.2, mean_velocity=15.0, seed=7, duration=10.0, velocity_noise=0.0):
-    """A flight with a known flow, sampled at 100 Hz."""
     flow, noise = sf.CellularFlow(mean_velocity, length_scale), (velocity_noise, 0.0)
     return fly(flow, seed=seed, duration=duration, noise=noise)
 
 
 @cache
 def flight_problem(length_scale=4.2, seed=7, velocity_noise=0.0, grid=SMALL_GRID):
-    """The regression problem of such a flight, on a small grid."""
     flown = flight(length_scale, seed=seed, velocity_noise=velocity_noise)
     return Library(grid).build([sf.Derivative()(flown)], [VEHICLE])
 

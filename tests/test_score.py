@@ -44,7 +44,6 @@ TWO = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 4.0), sf.CellularFlow(5.0, 
 
 
 def of(*scales):
-    """Scales (U0, L) as an estimate has them."""
     return tuple(
         sf.estimator.ScaleEstimate(speed, scale, scale / speed, scale) for speed, scale in scales
     )

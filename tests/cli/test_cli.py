@@ -37,9 +37,6 @@ def flight():
     return "flight.csv"
 
 
-# --- simulate
-
-
 @pytest.mark.parametrize("name", ["flight.csv", "flight.parquet"])
 def test_simulate_writes_the_flight_it_was_asked_for(capsys, name):
     options = ("--response-time", "0.25", "--thrust-acceleration", "-1e-3", "3")
@@ -132,9 +129,6 @@ def test_simulate_refuses(capsys, options, words):
     assert words in refused(capsys, *SIMULATE, *options, *output)
 
 
-# --- the verbs as such
-
-
 def test_the_command_alone_prints_its_help(capsys):
     code, out, err = run(capsys)
     assert (code, err) == (0, "")
@@ -147,9 +141,6 @@ def test_completion_knows_every_verb(capsys, shell):
     assert code == 0
     for name in ("simulate", "estimate", "study", "select", "export", "backends"):
         assert name in out
-
-
-# --- estimate
 
 
 def test_estimate_prints_standard_errors_and_intervals(capsys):
@@ -281,9 +272,6 @@ def test_what_an_estimate_raises_ends_in_a_line(capsys, flight, monkeypatch, err
         main(["estimate", flight])
 
 
-# --- backends
-
-
 def test_backends_are_listed_with_settings_and_certificate(capsys):
     code, out, _ = run(capsys, "backends")
     assert code == 0
@@ -306,9 +294,6 @@ def test_every_back_end_passes_its_check(capsys, name):
     code, out, _ = run(capsys, "backends", "--json", "check", name)
     assert json.loads(out)["length_scale"] == pytest.approx(4.0, rel=1e-6)
     assert name != "stlsq" or run(capsys, "backends", "check", name, "--setting", "threshold=50")[0]
-
-
-# --- the program as a whole
 
 
 VERBS = ("simulate", "estimate", "study", "study check", "study plan", "study run", "study status",

@@ -41,7 +41,6 @@ def printed(capsys, *argv):
 
 
 def columns(out):
-    """The words of each line, by its label."""
     return {line[:20].strip(): line[20:].split() for line in out.splitlines()}
 
 

@@ -74,7 +74,6 @@ def finished(home, tmp_path, monkeypatch):
 
 @pytest.fixture
 def half(home, tmp_path, monkeypatch):
-    """The study with the cases of one of its two back-ends."""
     shutil.copytree(f"{home}-half", tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     return "small.toml"

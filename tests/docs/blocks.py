@@ -58,7 +58,6 @@ class Block:
 
     @property
     def missing(self) -> bool:
-        """Whether it needs a package that is not here."""
         return bool(self.needs) and importlib.util.find_spec(self.needs) is None
 
 

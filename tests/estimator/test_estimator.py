@@ -201,12 +201,6 @@ def test_settings_given_as_numpy_numbers_are_json_too(name, settings):
     assert Estimator.from_json(Estimator(backend=backend).to_json()).backend == backend
 
 
-def test_names_stand_for_default_settings():
-    estimator = Estimator(derivative="forward", backend="lasso")
-    assert estimator.derivative == sf.Derivative("forward")
-    assert estimator.backend == backends.get("lasso")
-
-
 def test_what_is_left_out_of_the_json_is_the_default():
     read = Estimator.from_json(json.dumps({"format": FORMAT}))
     assert read == Estimator(readout=sf.Readout(refine="variable-projection"))
@@ -247,9 +241,7 @@ def test_what_is_left_out_of_the_json_is_the_default():
         ({"derivative": {"windows": 5}}, 'did you mean "window"'),
         ({"readout": {"length_scale": "sum"}}, "readout"),
         ({"readout": None}, "must be an object"),
-        ({"tolerance": -1.0}, "tolerance"),
-        ({"tolerance": "tight"}, "tolerance"),
-        ({"tolerance": None}, "tolerance"),
+        *(({"tolerance": bad}, "tolerance") for bad in (-1.0, "tight", None)),
     ],
 )
 def test_bad_json_is_refused_in_one_line(change, words):
@@ -288,7 +280,6 @@ GRID = sf.model.LengthScaleGrid(2e3, 200e3, spacing="flight")
 
 @pytest.fixture(scope="module")
 def track():
-    """x east and y north [m], (m, 2)."""
     flight = sf.read_flight(FILE)
     assert not flight.velocity_measured
     assert flight.vehicle == WATER

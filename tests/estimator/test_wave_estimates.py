@@ -143,7 +143,6 @@ LADDER = sf.Estimator(readout=sf.Readout(refine="ladder"))
 
 @pytest.fixture(scope="module")
 def turned():
-    """A flight through square cells turned by 0.3 rad, and what is estimated from it."""
     flow = ShapedCells(10.0, 4.0, heading=0.3)
     flight = fly(flow, duration=8.0, noise=(0.1, 0.02), initial_position=(101.0, -57.0))
     return flow, flight, LADDER.estimate(flight)

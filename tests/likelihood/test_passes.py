@@ -31,7 +31,6 @@ def odd_model(shape="pair"):
 
 
 def odd_nodes(count=40, states=9, seed=3):
-    """Random readings, some of which are missing, and a random track."""
     rng = np.random.default_rng(seed)
     time = np.sort(rng.uniform(-3, 3, count))
     push = rng.normal(size=(count, 2))
@@ -69,7 +68,6 @@ def test_steps_and_readings_have_the_derivatives_of_finite_differences():
 
 
 def passed(nodes, track, last):
-    """Everything that a pass gives, by every element of the model."""
     log, model = SimpleNamespace(spread=np.arange(1.0, 5.0)), odd_model()
     waves = [f"{name}_{j}" for j in (1, 2) for name in WAVE]
     forward = Leg(log, model, nodes, track, last).forward((*ELEMENTS, *waves))

@@ -420,9 +420,8 @@ def test_waves_around_those_of_the_flow_are_two_cells_from_them_and_their_opposi
     legs = (Leg(None, model, None, np.array([[0.0, 0.0], [10.0, 8.0]])),)
     assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0
     waves = TRUE.waves[:, :2]
-    cells = (
-        (np.array(seen)[:, None] - np.concatenate([waves, -waves])) * [10.0, 8.0] / (2.0 * np.pi)
-    )
+    away = np.array(seen)[:, None] - np.concatenate([waves, -waves])
+    cells = away * [10.0, 8.0] / (2.0 * np.pi)
     nearest = np.linalg.norm(cells, axis=2).min(axis=1)
     assert len(nearest) > 10
     assert 2.0 < nearest.min() < nearest.max() < 5.1

@@ -57,7 +57,6 @@ def ulog_at(flight, longitude, latitude, booted):
 
 
 def ulog_of(flight, *, valid=True, landed=None):
-    """The log of PX4 that a flight in NED would have left."""
     rows = rows_of(flight, valid)
     topics = {"vehicle_local_position": (LOCAL, rows)}
     if landed is not None:
@@ -66,7 +65,6 @@ def ulog_of(flight, *, valid=True, landed=None):
 
 
 def igc(times, latitude, longitude, *, start=datetime(2024, 6, 1, 23, 59, 30)):
-    """The text of a recorder's file."""
     lines = ["AXXX001 sparsefit", f"HFDTE{start:%d%m%y}"]
     for seconds, *degrees in zip(times, latitude, longitude, strict=True):
         told = ""

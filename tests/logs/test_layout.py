@@ -27,12 +27,7 @@ ROWS = [(0, 1.0, 2.0, 30.0, 4.0), (500, 1.5, 3.0, 31.0, 5.0), (1000, 2.0, 4.0, 3
 
 @pytest.fixture
 def file(tmp_path):
-    def write(text, name="log.csv"):
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return write
+    return lambda text, name="log.csv": write(tmp_path, name, text)
 
 
 def csv_text(header, rows, delimiter=","):

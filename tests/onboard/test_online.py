@@ -30,7 +30,6 @@ def flown(flow=TURNED, vehicle=VEHICLE, **changes):
 
 
 def samples_of(flight):
-    """(time, position, velocity) of every sample."""
     return zip(flight.time, flight.position, flight.velocity, strict=True)
 
 
@@ -47,7 +46,6 @@ def flight():
 
 @pytest.fixture(scope="module")
 def whole(flight):
-    """The estimate of every sample of it."""
     return fed(online_of(), flight).estimate()
 
 

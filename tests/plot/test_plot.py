@@ -15,7 +15,6 @@ FLOW = sf.CellularFlow(15.43, 4.21)
 
 @pytest.fixture(scope="module")
 def flown():
-    """A flight, its estimator and its estimate."""
     flight = fly(FLOW, duration=4.0, rate=50.0, seed=7, noise=(0.2, 0.05))
     grid = sf.model.LengthScaleGrid(3.0, 6.0, 0.5)
     estimator = sf.Estimator(library=sf.Library(grid), readout=sf.Readout(refine="none"))

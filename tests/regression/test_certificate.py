@@ -279,12 +279,15 @@ def test_a_box_by_hand():
     assert (off.primal, off.dual) == pytest.approx((1.75, 1.3))  # 7/2 s - 5/4 s^2 - 3/2 s + 1/2
 
 
+NUMBERS = [np.array([[value]]) for value in (1.25, 2.5, 1e-3, 2e-3, 3e-3)]
+PULL = np.array([[[1.0], [0.25]]])
+POINT = DualPoint(PULL, *NUMBERS, 1e-4)  # C, r and q, the error of each, and gamma
+
+
 def test_the_dual_point_of_a_box_has_each_rounding_on_its_safe_side():
     """The numbers of the box above, but the second of C, each off by its own error."""
     box = BoundedValues(np.ones(2), -np.ones(2), np.ones(2))
-    errors = (np.array([[size]]) for size in (1e-3, 2e-3, 3e-3))  # of C, r and q
-    pull, numbers = np.array([[[1.0], [0.25]]]), (np.array([[1.25]]), np.array([[2.5]]))
-    dual, least = DualPoint(pull, *numbers, *errors, 1e-4).bounds(np.array([0.5]), box, np.ones(1))
+    dual, least = POINT.bounds(np.array([0.5]), box, np.ones(1))
     assert dual == pytest.approx(1.375)  # s = 1; s = q/r = 2 gives 5/2 - 2
     # q, r/2, |V| <= 1 times what the first of C is off, gamma (4 q + r/2 + conjugate)
     assert dual - least == pytest.approx(3e-3 + 1e-3 + 1e-3 + 1e-4 * (10.0 + 0.625 + 0.501))
@@ -292,15 +295,13 @@ def test_the_dual_point_of_a_box_has_each_rounding_on_its_safe_side():
 
 def test_the_dual_point_of_a_ridge_has_each_rounding_on_its_safe_side():
     """mu = 1/2, F = (2, 1): C less mu F, r more mu |F|^2 = 5/2; without a norm F = C/mu."""
-    errors = (np.array([[size]]) for size in (1e-3, 2e-3, 3e-3))  # of C, r and q
-    pull, numbers = np.array([[[1.0], [0.25]]]), (np.array([[1.25]]), np.array([[2.5]]))
-    point, alphas = DualPoint(pull, *numbers, *errors, 1e-4), np.array([0.25])
-    net = point.with_ridge(np.array([[[2.0], [1.0]]]), alphas, replace(lasso_penalty(2), ridge=2.0))
+    alphas = np.array([0.25])
+    net = POINT.with_ridge(np.array([[[2.0], [1.0]]]), alphas, replace(lasso_penalty(2), ridge=2.0))
     assert net.correlation.ravel().tolist() == [0.0, -0.25]
     assert (net.square, net.product) == (3.75, 2.5)
     assert net.correlation_error == pytest.approx(1e-3 + 1e-4 * 1.0)  # mu max |F|
     assert net.square_error == pytest.approx(2e-3 + 1e-4 * 2.5)
-    bare = point.with_ridge(pull, alphas, SquaredNorm(2, ridge=2.0))
+    bare = POINT.with_ridge(PULL, alphas, SquaredNorm(2, ridge=2.0))
     assert not bare.correlation.any()
     assert bare.square == 1.25 + 0.5 * 4.25
     # F is off by e = 2e-3 in each entry: mu |F + e|^2 by mu (2 |F|_1 e + 2 e^2)

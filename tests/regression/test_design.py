@@ -31,7 +31,6 @@ class Rows:
 
 
 def source_of(kind: str, folder: Path, block: int) -> object:
-    """The array in one of the ways that a design may be given."""
     if kind == "file":
         np.save(folder / "theta.npy", THETA)
         return np.load(folder / "theta.npy", mmap_mode="r")
@@ -42,7 +41,6 @@ def source_of(kind: str, folder: Path, block: int) -> object:
 
 
 def check(design: Design, theta: Array) -> None:
-    """Every sum of the design against the array."""
     rms = np.sqrt(np.mean(theta**2, axis=0))
     z, values = theta / rms, np.zeros((K, 3))
     values[[2, 5]] = DRAW.normal(size=(2, 3))

@@ -64,14 +64,7 @@ def test_the_message_names_the_column_and_counts_the_others():
         ({"subgroups": [0, 1, 2]}, "subgroups must have one label per column"),
         *(
             ({"sample_weight": bad}, "sample_weight must have 4 numbers >= 0")
-            for bad in (
-                [1, 2],
-                [0, 0, 0, 0],
-                [-1, 1, 1, 1],
-                [np.inf, 1, 1, 1],
-                ["a"] * 4,
-                [[1], [1, 2]],
-            )
+            for bad in ([1, 2], [0] * 4, [-1, 1, 1, 1], [np.inf, 1, 1, 1], ["a"] * 4, [[1], [1, 2]])
         ),
     ],
 )

@@ -35,7 +35,6 @@ flown = cache(partial(fly, seed=1, duration=8.0))
 
 
 def drawn(seed, timescale, duration=10.0, noise=(0.0, 0.0)):
-    """A flight through cells of a timescale [s] and of a random size."""
     length_scale = np.random.default_rng(seed).uniform(2.0, 10.0)
     flow = CellularFlow(length_scale / timescale, length_scale)
     return flown(flow, seed=seed, duration=duration, noise=noise)

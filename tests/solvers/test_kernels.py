@@ -21,18 +21,24 @@ from sparsefit.solvers.registry import solver
 homotopy = pytest.importorskip("sparsefit.solvers.homotopy", reason="it was not compiled")
 variances = pytest.importorskip("sparsefit.solvers.variances", reason="it was not compiled")
 K = 24
-PENALTIES = {
-    "LASSO": AbsoluteValues(np.ones(K)),
-    "adaptive": AbsoluteValues(np.geomspace(0.1, 3.0, K)),
-    "elastic net": AbsoluteValues(np.ones(K), ridge=0.3),
-    "adaptive elastic net": AbsoluteValues(np.geomspace(0.1, 3.0, K), ridge=2.0),
-    "SLOPE": SortedNorm(np.linspace(1.0, 0.3, K)),
-    "groups": GroupNorms(np.arange(K) // 3, np.ones(8)),
-    "weighted groups": GroupNorms(np.arange(K) // 3, np.linspace(0.5, 2.0, 8)),
-    "nested groups": NestedNorms(
-        GroupNorms(np.arange(K) // 3, np.linspace(0.5, 1.0, 8)), AbsoluteValues(np.full(K, 0.3))
-    ),
-}
+
+
+def penalties(columns):
+    groups, count = np.arange(columns) // 3, columns // 3
+    uneven = GroupNorms(groups, np.linspace(0.5, 1.0, count))
+    return {
+        "LASSO": AbsoluteValues(np.ones(columns)),
+        "adaptive": AbsoluteValues(np.geomspace(0.1, 3.0, columns)),
+        "elastic net": AbsoluteValues(np.ones(columns), ridge=0.3),
+        "adaptive elastic net": AbsoluteValues(np.geomspace(0.1, 3.0, columns), ridge=2.0),
+        "SLOPE": SortedNorm(np.linspace(1.0, 0.3, columns)),
+        "groups": GroupNorms(groups, np.ones(count)),
+        "weighted groups": GroupNorms(groups, np.linspace(0.5, 2.0, count)),
+        "nested groups": NestedNorms(uneven, AbsoluteValues(np.full(columns, 0.3))),
+    }
+
+
+PENALTIES = penalties(K)
 
 
 def problem(seed, samples=40, targets=1, correlated=True):
@@ -46,7 +52,6 @@ def problem(seed, samples=40, targets=1, correlated=True):
 
 
 def path_of(z, y, penalty, alphas, stretches):
-    """The path of a kernel that is asked for stretches of it, in turn."""
     on = Columns(penalty, z.T @ y / len(z), len(z), z.T @ z / len(z), z)
     kernel, attempts, parts = KERNELS[kernel_for(penalty, y.shape[1])], {BEGIN: 0.0 * on.cross}, []
     for part in np.array_split(alphas, stretches):
@@ -80,17 +85,8 @@ def test_columns_that_join_on_the_way_change_no_point(kind, monkeypatch):
     rng = np.random.default_rng(5)
     theta, weights = rng.normal(size=(30, 240)), np.zeros((240, 1))
     weights[::40] = rng.normal(size=(6, 1))
-    target, groups = theta @ weights + 0.1 * rng.normal(size=(30, 1)), np.arange(240) % 80
-    penalty = {
-        "LASSO": AbsoluteValues(np.ones(240)),
-        "adaptive elastic net": AbsoluteValues(np.geomspace(0.5, 2.0, 240), ridge=0.1),
-        "groups": GroupNorms(groups, np.ones(80)),
-        "nested groups": NestedNorms(
-            GroupNorms(groups, np.linspace(0.5, 1.0, 80)), AbsoluteValues(np.full(240, 0.3))
-        ),
-        "SLOPE": SortedNorm(np.linspace(1.0, 0.5, 240)),
-    }[kind]
-    design = RegressionProblem.from_arrays(theta, target, groups).design
+    target, penalty = theta @ weights + 0.1 * rng.normal(size=(30, 1)), penalties(240)[kind]
+    design = RegressionProblem.from_arrays(theta, target).design
     largest = float(penalty.dual_norm(design.correlate(target)).max())
     alphas = largest * np.geomspace(1.0, 1e-2, 12)
     whole = exact.exact_path(design, target, penalty, alphas)

@@ -76,17 +76,14 @@ def test_a_first_ridge_that_rounding_loses_is_the_least_squares_of_least_norm():
     assert lost[0] < 0.5 * lost[2]
 
 
-def single(problem, target=0):
-    return RegressionProblem.from_arrays(problem.theta, problem.target[:, [target]], problem.groups)
-
-
 def test_separate_is_one_problem_per_target_at_a_common_penalty():
     problem = regular(6)
     backend = backends.get("group-lasso", alpha_fraction=0.2, separate=True)
     together = backend.solve(problem).weights
     top = alpha_max(problem.statistics.cross, backend.penalty(problem))
     for t in range(2):
-        alone = single(problem, t)
+        target = problem.target[:, [t]]
+        alone = RegressionProblem.from_arrays(problem.theta, target, problem.groups)
         own = alpha_max(alone.statistics.cross, backend.penalty(alone))
         one = backends.get("group-lasso", alpha_fraction=0.2 * top / own).solve(alone)
         assert together[:, [t]] == pytest.approx(one.weights, abs=1e-5)
@@ -220,9 +217,8 @@ def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, rat
     target = np.vstack([problem.target, np.zeros((k, 2))])
     norms = AbsoluteValues(s.rms / design.rms)  # in columns of the unit that these rows have
     (expected,) = duality_gaps(design, target, weights[None], np.array([alpha * ratio]), norms)
-    (found,) = duality_gaps(
-        problem.design, problem.target, weights[None], np.array([alpha]), penalty
-    )
+    values, alphas = weights[None], np.array([alpha])
+    (found,) = duality_gaps(problem.design, problem.target, values, alphas, penalty)
     assert found.primal == pytest.approx(expected.primal, rel=1e-12)
     assert found.dual == pytest.approx(expected.dual, rel=1e-10)
     assert found.value == pytest.approx(expected.value, rel=1e-9, abs=1e-12)
@@ -337,15 +333,8 @@ def test_bounds_that_do_not_bind_beside_some_that_do_cost_no_certificate():
     assert 0 < (path.weights[-1] == -2.0).sum() + (path.weights[-1] == 1e3).sum() < 12
 
 
-FRACTIONS = [0.7, 0.1, 0.01, 0.001]
-
-
 def fitted(problem, fraction=0.1, **more):
     return sf.fit(problem, backends.get("square-root-lasso", alpha_fraction=fraction, **more))
-
-
-def level(values, samples):
-    return np.sqrt(np.sum(values**2) / samples)
 
 
 def test_orthonormal_columns_by_hand():
@@ -398,9 +387,8 @@ def test_one_penalty_suits_every_noise():
     theta, noise = rng.normal(size=(200, 30)), rng.normal(size=(200, 1))
     supports = []
     for size in (1.0, 0.1, 0.01):
-        problem = RegressionProblem.from_arrays(
-            theta, 3.0 * theta[:, :2] @ [[1.0], [1]] + size * noise
-        )
+        target = 3.0 * theta[:, :2] @ [[1.0], [1.0]] + size * noise
+        problem = RegressionProblem.from_arrays(theta, target)
         s = problem.statistics
         largest = np.abs(s.cross).max() / np.sqrt(s.target_square.sum())
         found = fitted(problem, 4.0 / np.sqrt(problem.samples) / largest)
@@ -412,13 +400,13 @@ def test_one_penalty_suits_every_noise():
 def test_degenerate_problems_have_certificates_that_are_proven_bounds(kind):
     problem = degenerate(kind, 2)
     backend = backends.get("square-root-lasso")
-    along = sf.path(problem, backend, FRACTIONS)
+    along = sf.path(problem, backend, [0.7, 0.1, 0.01, 0.001])
     assert along.gaps.max() < 1e-9
     assert all(fit.certificate.bound <= 1e-8 for fit in along.fits)
     for fit in along.fits:
         residual = problem.target - problem.theta @ fit.weights
         size = np.abs(fit.weights * problem.statistics.rms[:, None]).sum()
-        loss = level(problem.target, problem.samples) * level(residual, problem.samples)
+        loss = np.linalg.norm(problem.target) * np.linalg.norm(residual) / problem.samples
         assert fit.certificate.primal == pytest.approx(loss + fit.alpha * size, rel=1e-9)
 
 

@@ -180,24 +180,20 @@ def test_a_command_is_handed_a_folder_and_timed_between_its_lines(tmp_path):
     np.testing.assert_allclose(weights, expected)
     assert 0.0 < wall < 10.0
     np.testing.assert_array_equal(recipe.make().path(*asked), weights)
-    answered = answers(recipe.make(), data, penalty, (1.0,))
-    assert answered[0].status == "ok"
-    assert (
-        answered[0].clock[1] < 0.1
-    )  # neither the start of an interpreter nor its imports are in it
+    (answered,) = answers(recipe.make(), data, penalty, (1.0,))
+    assert answered.status == "ok"
+    assert answered.clock[1] < 0.1  # without the start of an interpreter and its imports
 
 
 def test_a_command_that_fails_says_so(tmp_path):
     with pytest.raises(MissingExtra, match="no program"):
         Recipe("theirs", command=("no-such-program",)).make()
     assert "install it" in Recipe("theirs", command=("./absent",)).missing
-    data = problem()
+    data, penalty = problem(), lasso_penalty(6)
     for words, reason in (("raise SystemExit('no licence')", "no licence"), ("", "code 0")):
         command = Recipe("theirs", command=(sys.executable, "-c", words)).make()
         with pytest.raises(SparsefitError, match=reason):
-            command.path(
-                Design(data.theta, 50), data.target, lasso_penalty(6), np.array([1.0]), None
-            )
+            command.path(Design(data.theta, 50), data.target, penalty, np.array([1.0]), None)
     assert "no such penalty" in command.takes(SquaredNorm(6))
 
 

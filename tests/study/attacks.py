@@ -82,7 +82,6 @@ def stored(folder):
 
 
 def until(condition, seconds=120.0):
-    """Wait until it holds."""
     limit = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < limit, "waited too long"

@@ -37,7 +37,6 @@ def frame(*rows):
 
 
 def spread(titles=("lasso", "stlsq"), flights=12, **more):
-    """Flights with other errors for each title."""
     rng = np.random.default_rng(1)
     return frame(*(
         case(flight, (rng.normal(0, 1 + place), rng.normal(0, 1)), label=title, **more)
@@ -46,7 +45,6 @@ def spread(titles=("lasso", "stlsq"), flights=12, **more):
 
 
 def solve(problem, solver, seconds, excess=1e-12, status="ok", **more):
-    """A case of a regression problem."""
     return {
         "problem": problem, "solver": solver, "objective": "lasso", "wall": seconds,
         "cpu": seconds, "excess": excess, "status": status, "reason": "", "tolerance": math.nan,

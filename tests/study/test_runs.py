@@ -62,7 +62,6 @@ def by_deed(cases):
 
 @pytest.fixture(scope="module")
 def whole(plugin, tmp_path_factory):
-    """A study of three flights that ran undisturbed."""
     study = load(tmp_path_factory.mktemp("whole"), WHOLE)
     return study, study.run(processes=1)
 

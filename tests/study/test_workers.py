@@ -43,7 +43,6 @@ def test_a_call_that_fails_is_told_in_a_line(deed, words):
 
 
 def alive(marker):
-    """The processes with a word in their command."""
     every = (path for path in Path("/proc").iterdir() if path.name.isdigit())
     return [path for path in every if f"sleep {marker}" in command_of(path)]
 

@@ -25,7 +25,6 @@ class Damped:
         return Solution(np.linalg.solve(gram, statistics.cross) / statistics.rms[:, None])
 
     def next_weights(self, problem, weights):
-        """The weights (k, n), solved for again."""
         return Damped.solve(self, problem).weights
 
 
