@@ -389,21 +389,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("group", choices=GROUPS)
     parser.add_argument("--flights", type=int, default=10, help="of each world")
+    parser.add_argument("--seed", type=int, default=2026)
+    parser.add_argument("--precision", type=float, default=0.03)
     parser.add_argument("--auto", action="store_true", help='free="auto"')
     given = parser.parse_args()
     settings = {"free": "auto"} if given.auto else {}
-    estimator = sf.Estimator(readout=sf.Readout(precision=0.03), **settings)
+    estimator = sf.Estimator(readout=sf.Readout(precision=given.precision), **settings)
+    frames = []
     for world in GROUPS[given.group]:
-        pairs = draw(world, given.flights, 2026)
-        rows = pd.DataFrame([answer(estimator, *pair, world) for pair in pairs])
-        words = [f"{rows[name].sum()} {name}" for name in COUNTS]
-        for symbol in ("U0", "L") if "L" in rows else ():
-            sizes, holds = rows[symbol].abs(), rows.get(f"{symbol} holds", rows[symbol] * np.nan)
-            words += [
-                f"{symbol} rms {np.sqrt((sizes**2).mean()):.2g} median {sizes.median():.2g} %"
-            ]
-            words += [f"holds {holds.sum():.0f}/{holds.count()}"]
-        print(f"{world.name:22s}", *words, f"{rows['seconds'].median():.2f} s", flush=True)
+        pairs = draw(world, given.flights, given.seed)
+        frames.append(pd.DataFrame([answer(estimator, *pair, world) for pair in pairs]))
+        print(f"{world.name:22s}", _words(frames[-1]), flush=True)
+    print(f"{'all':22s}", _words(pd.concat(frames)))
+
+
+def _words(rows: pd.DataFrame) -> str:
+    words = [f"{rows[name].sum()} {name}" for name in COUNTS]
+    for symbol in ("U0", "L") if "L" in rows else ():
+        sizes, holds = rows[symbol].abs(), rows.get(f"{symbol} holds", rows[symbol] * np.nan)
+        words += [f"{symbol} rms {np.sqrt((sizes**2).mean()):.2g} median {sizes.median():.2g} %"]
+        words += [f"holds {holds.sum():.0f}/{holds.count()}"]
+    return "  ".join([f"{len(rows)} flights", *words, f"{rows['seconds'].median():.2f} s"])
 
 
 if __name__ == "__main__":
