@@ -26,7 +26,8 @@ starts = np.searchsorted(groups[order], np.arange(groups.max() + 1))
 if (folder / "design.npy").exists():
     design = np.asfortranarray(np.load(folder / "design.npy")[:, order])
 else:
-    design = adelie.matrix.sparse(sparse.load_npz(folder / "design.npz")[:, order].tocsc())
+    columns = sparse.load_npz(folder / "design.npz")[:, order]
+    design = adelie.matrix.sparse(sparse.csc_matrix(columns))  # it takes no sparse arrays
 joint = target.shape[1] > 1
 glm = adelie.glm.multigaussian(y=target) if joint else adelie.glm.gaussian(y=target[:, 0])
 scale = target.shape[1]  # its mean square is over samples and targets
