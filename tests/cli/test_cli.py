@@ -26,11 +26,6 @@ COARSE = ("--grid-lower", "3.2", "--grid-upper", "5.2")
 PAPER = ("--set", "readout.refine=none")
 
 
-@pytest.fixture(autouse=True)
-def in_empty_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture
 def flight():
     assert main([*SIMULATE, "--duration", "5", "-o", "flight.csv"]) == 0

@@ -16,8 +16,7 @@ GRID = sf.model.LengthScaleGrid(2.0, 8.0)
 
 
 @pytest.fixture
-def saved(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def saved(tmp_path):
     estimator = sf.Estimator(backend="lasso", library=sf.Library(grid=GRID))
     path = tmp_path / "estimator.json"
     path.write_text(estimator.to_json())

@@ -29,8 +29,7 @@ def flight():
 
 
 @pytest.fixture(autouse=True)
-def in_empty_folder(tmp_path, monkeypatch, flight):
-    monkeypatch.chdir(tmp_path)
+def its_log(in_empty_folder, flight):
     write_flight(flight, "flight.csv")
 
 

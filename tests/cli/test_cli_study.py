@@ -66,16 +66,14 @@ def home(tmp_path_factory):
 
 
 @pytest.fixture
-def finished(home, tmp_path, monkeypatch):
+def finished(home, tmp_path):
     shutil.copytree(home, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
     return "small.toml"
 
 
 @pytest.fixture
-def half(home, tmp_path, monkeypatch):
+def half(home, tmp_path):
     shutil.copytree(f"{home}-half", tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
     return "small.toml"
 
 
