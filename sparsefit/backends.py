@@ -1,16 +1,19 @@
 """Interchangeable back-ends: ``get(name, **settings)``, and `fit` and `path` by their names.
 
-Those of other packages are found by the entry-point group ``sparsefit.backends``; a broken one is
-listed with its error, and raises it when asked for.
+Other packages declare theirs in the entry-point group ``sparsefit.backends``; a broken plug-in is
+listed with its error, and raises it when requested.
 """
 
-from collections.abc import Mapping
+import dataclasses
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from sparsefit.errors import InputError, is_integer, unknown
+from sparsefit.errors import InputError, is_integer, one_line, unknown
 from sparsefit.regression import fit as certified
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
@@ -30,8 +33,8 @@ from sparsefit.regression.problem import RegressionProblem
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["BACKENDS", "PUBLIC", "Backend", "Solution", "distribution", "fit", "get", "known",
-           "load", "named", "path", "settings_of"]  # fmt: skip
+__all__ = ["BACKENDS", "PUBLIC", "Backend", "Solution", "distribution", "faults", "fit", "get",
+           "known", "load", "named", "path", "settings_of"]  # fmt: skip
 BACKENDS: Mapping[str, str] = {
     "least-squares": "sparsefit.solvers.least_squares:LeastSquares",
     "stlsq": "sparsefit.solvers.least_squares:STLSQ",
@@ -51,10 +54,10 @@ BACKENDS: Mapping[str, str] = {
     "group-omp": "sparsefit.solvers.searches:GroupOMP",
     "best-scale": "sparsefit.solvers.searches:BestScale",
 }
-"""The back-ends of sparsefit: name -> where the class lives, imported when first asked for."""
+"""The back-ends of sparsefit: name -> module and class, imported at first use."""
 
 PUBLIC: Mapping[str, str] = {"pysindy": "sparsefit.solvers.least_squares:PySindy"}
-"""Back-ends that are another package's, behind an adapter here; they need the extra ``peers``."""
+"""Adapters of back-ends of other packages; they need the extra ``peers``."""
 
 
 def _plugins() -> "Mapping[str, EntryPoint]":
@@ -67,13 +70,13 @@ def known() -> tuple[str, ...]:
 
 
 def distribution(name: str) -> str:
-    """`NAME VERSION` of what a plug-in was installed with; nothing for our own and unknown ones."""
+    """`NAME VERSION` of the distribution of a plug-in; empty for other names."""
     entry = None if name in BACKENDS else _plugins().get(name)
     return f"{entry.dist.name} {entry.dist.version}" if entry and entry.dist else ""
 
 
 def load(name: str) -> type[Backend]:
-    """The class of a back-end. Raises InputError on an unknown name or a plug-in that is broken."""
+    """The class of a back-end. Raises InputError on an unknown name or a broken plug-in."""
     home = BACKENDS.get(name) or PUBLIC.get(name)
     if home:
         module, _, attribute = home.partition(":")
@@ -86,7 +89,10 @@ def load(name: str) -> type[Backend]:
 
 
 def get(name: str, **settings: Any) -> Backend:
-    """The back-end of that name with these settings. Raises InputError on what is not valid."""
+    """The back-end of that name with these settings.
+
+    Raises InputError on an unknown name or setting and on a value out of range.
+    """
     backend: Backend = made(name, load(name), settings)
     return backend
 
@@ -104,15 +110,15 @@ def fit(
     tolerance: float = TOLERANCE,
     **settings: Any,
 ) -> Fit:
-    """Solve one problem and certify the answer.
+    """Solve one problem and certify the weights.
 
     ``fit(problem, backend)``, or ``fit(theta, target, backend)`` with arrays, a frame or a sparse
-    matrix, and ``groups``, ``subgroups``, ``names``, ``sample_weight`` and ``intercept`` as of
-    `RegressionProblem.from_arrays`. backend: what ``backends.get(name, **settings)`` returns, or a
-    name, with ``settings`` in place of defaults. A certificate above ``tolerance``, with all that
-    rounding can hide of it, gives status ``inaccurate``, with the best solution found. An
-    alpha_fraction of "auto" is chosen first: the fit is the chosen point of the path. Raises
-    InputError on what is not valid.
+    matrix and ``groups``, ``subgroups``, ``names``, ``sample_weight`` and ``intercept`` as in
+    `RegressionProblem.from_arrays`. backend: an object as from ``backends.get(name, **settings)``,
+    or a name, with ``settings`` as keywords. tolerance: the largest certificate, rounding included,
+    of status ``ok``; the best weights found are ``inaccurate`` above it. An alpha_fraction of
+    "auto" is chosen from a path of 30 penalties, and the fit is its point there. Raises InputError
+    on invalid data, names or settings.
     """
     posed, chosen = _posed("fit", problem, target, backend, settings)
     return certified(posed, chosen, tolerance=tolerance)
@@ -127,13 +133,13 @@ def path(
     tolerance: float = TOLERANCE,
     **settings: Any,
 ) -> Path:
-    """Solve along a penalty grid, in any order given, and certify every point.
+    """Solve along a grid of penalties in any order and certify every point.
 
     ``path(problem, backend, alpha_fractions)``, or ``path(theta, target, backend,
     alpha_fractions)``; the rest as in `fit`. alpha_fractions: numbers in (0, 1], the penalties as
-    fractions of the smallest one whose solution is zero, or how many of them from 1 to 1e-3; 30 by
-    default. Back-ends without a path of their own are run point by point. Raises InputError for
-    back-ends that have no penalty, and as `fit` does.
+    fractions of the smallest one whose solution is zero, or the number of points from 1 to 1e-3; 30
+    by default. Back-ends without a path are solved point by point. Raises InputError for a back-end
+    without a penalty, and as `fit` does.
     """
     if isinstance(problem, RegressionProblem) and backend is not None:
         alpha_fractions, backend = backend, None
@@ -163,3 +169,51 @@ def _posed(
     if settings and not isinstance(backend, str):
         raise InputError(f'{verb}: settings go with a back-end\'s name: {verb}(..., "lasso", ...)')
     return problem, get(backend, **settings) if isinstance(backend, str) else named(backend)
+
+
+def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
+    """Violations of a plug-in's contract on one problem, a sentence each; none where it keeps it.
+
+    Its ``solve`` is pure, returns weights that fit better than zeros do, and says ``ok`` of what
+    its certificate confirms only; its class is a frozen dataclass.
+    """
+    try:
+        return list(_faults(backend, problem))
+    except ModuleNotFoundError as error:
+        return [one_line(f"it needs the package {error.name!r}, which is not installed")]
+    except Exception as error:  # of code of others, or of what it returned: the last fault
+        return [one_line(f"raises {type(error).__name__}: {error}")]
+
+
+def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
+    if not type(backend).__dataclass_params__.frozen:
+        yield "its class is not frozen: write @dataclass(frozen=True)"
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        first, second = _solved(backend, problem), _solved(backend, problem)
+    if printed.getvalue():
+        yield f"it prints: {one_line(printed.getvalue())[:60]!r}"
+    weights, again = first.weights, second.weights
+    if weights is None or again is None:
+        yield "it has no weights for a problem that every least-squares solver solves"
+        return
+    if np.linalg.norm(weights - again) > 1e-6 * np.linalg.norm(weights):
+        yield "it answers the same problem differently the second time: solve must be pure"
+    elif first.status == "ok" and (judged := certified(problem, backend)).status != "ok":
+        yield f"it says ok of an answer that is not: {judged.reason}"
+    residual = np.linalg.norm(problem.target - problem.design.raw_predict(weights))
+    if not residual <= (1.0 + 1e-9) * np.linalg.norm(problem.target):
+        yield "its weights fit the target worse than zeros do"
+    if dataclasses.replace(backend) != backend:
+        yield "two of it with the same settings are not equal: it is no plain dataclass"
+
+
+def _solved(backend: Backend, problem: RegressionProblem) -> Solution:
+    arrays = {name: getattr(problem, name) for name in ("theta", "target", "groups")}
+    lent = {name: values.copy() for name, values in arrays.items()}
+    solution = backend.solve(dataclasses.replace(problem, **lent))
+    for name, values in arrays.items():
+        if not np.array_equal(lent[name], values):
+            where = f"writes into problem.{name}, which it is given to read: work on a copy"
+            raise InputError(f"back-end {backend.name!r} {where}")
+    return solution

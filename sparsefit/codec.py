@@ -1,7 +1,7 @@
 """Frozen dataclasses from mappings, by the types of their fields, and back.
 
-What a type cannot tell (a window that must be odd) the record's own checks do; their words, too,
-are put after the place where the value stands.
+What a type cannot express (a window that must be odd) the record checks itself; its message is put
+behind the place of the value.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Record = TypeVar("Record")
 
 @dataclass(frozen=True)
 class Place:
-    """The place of a value: file, section and key; `via` tells which override put it there."""
+    """The place of a value: file, section and key; `via`: the override that it comes from."""
 
     file: str
     section: str = ""
@@ -64,7 +64,7 @@ def build(kind: type[Record], values: Mapping[str, object], place: Place) -> Rec
 
 
 def made(kind: type[Record], values: Mapping[str, Any], place: Place) -> Record:
-    """``kind(**values)``, its refusal told with the place."""
+    """``kind(**values)``, its refusal preceded by the place."""
     try:
         return kind(**values)
     except (InputError, TypeError, ValueError) as error:

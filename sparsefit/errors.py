@@ -1,4 +1,4 @@
-"""What a refusal says: the exceptions, the nearest known name, and the checks of scalars.
+"""Exceptions, the nearest known name for a message, and checks of scalars.
 
 A quantity (``tau must be ... [s]; got -1``) is checked by `finite` to `integer`, a setting within
 limits (``lasso: tolerance must be ..., not 2``) by `number_setting` and `one_of`.
@@ -20,7 +20,7 @@ REAL = (float, int, Real)  # an abstract class alone takes ten times as long to 
 
 
 class SparsefitError(Exception):
-    """Anything this package raises on purpose. The message is one line, whatever it quotes."""
+    """Base of the exceptions of this package. The message is always one line."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(message))
@@ -69,7 +69,7 @@ def described(error: BaseException, most: int = 500) -> str:
     try:
         said = str(error)
     except Exception:  # a message is code of others, too
-        said = "(its message cannot be told)"
+        said = "(its message cannot be read)"
     return one_line(f"{type(error).__name__}: {said}", most)
 
 
@@ -182,7 +182,7 @@ def number_setting(
     meaning: str = "",
     open_low: bool = False,
 ) -> None:
-    """Raise `InputError`, told with ``meaning``, unless value is in [low, high] or (low, high]."""
+    """Raise `InputError`, with ``meaning``, unless value is in [low, high] or (low, high]."""
     if not is_number(value, low, high, open_low=open_low):
         limits = f"{'(' if open_low else '['}{low:g}, {high:g}{']' if high < math.inf else ')'}"
         words = f"{owner}: {name} must be a number in {limits}, not {shown(value)}"

@@ -2,8 +2,8 @@
 
     X' = Theta(X) W
 
-PySINDy makes the library Theta (m, k) and the derivatives X' (m, n), and asks an optimizer for the
-sparse W. Here that is any back-end of any design matrix, certified.
+PySINDy computes the library Theta (m, k) and the derivatives X' (m, n); an optimizer determines the
+sparse W, here by any back-end, with a certificate.
 
 Source: Brunton, Proctor and Kutz, PNAS 113 (2016) 3932-3937; `pysindy.optimizers.BaseOptimizer`.
 """

@@ -1,24 +1,25 @@
-"""Errors against the truth: the only room, with the bound, that knows it."""
+"""Errors of estimates against the true flow."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array
 from sparsefit.errors import InputError, is_real
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells
-from sparsefit.flight.waves import Flow, FlowField
+from sparsefit.flight.waves import Flow, FlowField, check_flow
 
 
 @dataclass(frozen=True)
 class Score:
     """The errors of an estimate, in percent of the truth; NaN where there is no estimate.
 
-    hit: whether, of the candidate scales, the one nearest the truth was chosen.
+    hit: whether the candidate length scale nearest to the true one was chosen.
     """
 
     mean_velocity: float
@@ -28,21 +29,20 @@ class Score:
 
 
 def strongest(flow: Flow) -> Cells:
-    """The cells of largest mean velocity in ``flow``, the first of equals.
-
-    A flow without cells has none: ValueError.
-    """
+    """The cells of largest mean velocity in ``flow``; raises InputError if it has no cells."""
+    if not getattr(flow, "cells", ()):
+        raise InputError(f"score: the true flow must have cells, as CellularFlow has; got {flow!r}")
     cells: Cells = max(flow.cells, key=lambda part: part.mean_velocity)
     return cells
 
 
-def score(estimate: Estimate, flow: Flow, scales: Array) -> Score:
+def score(estimate: Estimate, flow: Flow, scales: ArrayLike) -> Score:
     """Return the errors of an estimate against the true flow, of several against the `strongest`.
 
-    scales: the candidate length scales [m], (g,), that the estimator had.
+    scales: the candidate length scales [m], (g,), of the estimator. Raises as `strongest`.
     """
-    truth = strongest(flow)
-    nearest = float(scales[int(np.argmin(np.abs(scales - truth.length_scale)))])
+    truth, candidates = strongest(flow), np.asarray(scales, np.float64)
+    nearest = float(candidates[int(np.argmin(np.abs(candidates - truth.length_scale)))])
     return Score(
         _percent(estimate.mean_velocity, truth.mean_velocity),
         _percent(estimate.length_scale, truth.length_scale),
@@ -57,7 +57,7 @@ def _percent(estimated: float, true: float) -> float:
 
 @dataclass(frozen=True)
 class ScalesScore:
-    """Which scales of the true flow an estimate detected, and how far off it is there."""
+    """The length scales of the true flow that an estimate detected, and its errors there."""
 
     true: int  # scales of the flow
     detected: int  # those with an estimate within the tolerance
@@ -76,14 +76,19 @@ def score_scales(
 ) -> ScalesScore:
     """Match the estimate's scales to the flow's, each to one: the nearest in wavenumber first.
 
-    A pair whose wavenumbers differ by more than the tolerance, |k_est / k_true - 1|, is none.
+    A pair whose wavenumbers differ by more than the tolerance, |k_est / k_true - 1|, is none. An
+    estimate of one length scale counts as the set of that scale.
 
     Raises:
-        InputError: if the tolerance is not above 0.
+        InputError: if the tolerance is not above 0, or the flow is no `Flow`.
     """
     if not is_real(tolerance) or not tolerance > 0:
         raise InputError(f"score_scales: tolerance must be above 0, not {tolerance!r}")
-    scales = estimate.scales if isinstance(estimate, Estimate) else estimate
+    if not isinstance(flow, Flow):
+        raise InputError(f"score_scales: the true flow must be a flow of sparsefit; got {flow!r}")
+    scales: Sequence[Any] = estimate.scales if isinstance(estimate, Estimate) else estimate
+    if isinstance(estimate, Estimate) and not scales and math.isfinite(estimate.length_scale):
+        scales = (estimate,)
     pairs = sorted(
         (abs(part.length_scale / scale.length_scale - 1), i, j)
         for i, part in enumerate(flow.cells)
@@ -93,33 +98,33 @@ def score_scales(
     for distance, i, j in pairs:
         if distance <= tolerance and i not in match and j not in match.values():
             match[i] = j
-    matched = [(scales[j], flow.cells[i]) for i, j in match.items()]
-    off = [_percent(own.length_scale, truth.length_scale) for own, truth in matched]
-    fast = [_percent(own.mean_velocity, truth.mean_velocity) for own, truth in matched]
-    largest = (max(map(abs, errors), default=math.nan) for errors in (off, fast))
-    count = len(match)
-    true, missed, spurious = len(flow.cells), len(flow.cells) - count, len(scales) - count
-    return ScalesScore(true, count, missed, spurious, *largest)
+    errors = (
+        [_percent(getattr(scales[j], name), getattr(flow.cells[i], name)) for i, j in match.items()]
+        for name in ("length_scale", "mean_velocity")
+    )
+    largest = (max(map(abs, own), default=math.nan) for own in errors)
+    true, count = len(flow.cells), len(match)
+    return ScalesScore(true, count, true - count, len(scales) - count, *largest)
 
 
-def prediction_error(flow: FlowField | None, flights: Sequence[Flight]) -> float:
+def prediction_error(flow: FlowField | None, flights: Flight | Sequence[Flight]) -> float:
     """Return sqrt(sum |w_hat - w|^2 / sum |w|^2) over all samples of other flights.
 
-    Free of thresholds and of names for shapes: how well the estimated flow w_hat, any object with
-    ``velocity(x, y, t)``, tells the true flow w where it was not measured.
+    The relative error of the estimated flow w_hat, any object with ``velocity(x, y, t)``, where it
+    was not measured; it needs neither thresholds nor names of shapes.
 
     Args:
-        flow: the estimated flow; None, no estimate, counts as the still air that it leaves a pilot
-            with: 1.
-        flights: through the true flow, which each of them knows, in the coordinates and the time
-            of the flight that was estimated from; without noise of position, or it is judged at
-            the wrong places.
+        flow: the estimated flow; None, no estimate, counts as still air: 1.
+        flights: one or several that know the true flow, in the coordinates and the time of the
+            estimated flight, without position noise.
 
     Raises:
         InputError: if there is no flight, one knows no flow, or the true flow is 0 along all.
     """
+    flights = [flights] if isinstance(flights, Flight) else flights
     if not flights or any(flight.flow is None for flight in flights):
         raise InputError("prediction_error needs at least one flight, each with its true flow")
+    check_flow(flow)
     missed = there = 0.0
     for flight in flights:
         assert flight.flow is not None

@@ -3,9 +3,9 @@
     minimise over w, b:   1/(2m) sum_i s_i |y_i - x_i w - b|^2 + alpha * penalty(w)
 
 with the back-end's own penalty, or rule, in place of the second term; s are the sample weights.
-The intercept b is not penalised: X and y are centred first. `SparseRegressor` takes any back-end, a
-plug-in too; `Lasso`, `GroupLasso`, ... are one class for each of ours, whose parameters are the
-back-end's settings, so that `GridSearchCV` can search over them.
+The intercept b is not penalised. `SparseRegressor` takes any back-end, plug-ins included; `Lasso`,
+`GroupLasso`, ... are classes of one back-end each, whose settings are parameters that
+`GridSearchCV` can search over.
 
 Source of the conventions: scikit-learn, "Developing scikit-learn estimators".
 """
@@ -41,7 +41,7 @@ SHARED: dict[str, Any] = {"groups": None, "fit_intercept": True, "certificate_to
 
 
 class FitFailed(SparsefitError, ValueError):  # noqa: N818 - says what is the matter
-    """A back-end found no weights; the message is its reason."""
+    """A back-end returned no weights; the message is its reason."""
 
 
 class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type: ignore[misc]
@@ -50,21 +50,21 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     Parameters
     ----------
     backend : str or back-end, default="group-lasso"
-        A name, with default settings, or what ``sparsefit.backends.get(name, **settings)`` returns.
+        A name, with default settings, or an object as from ``sparsefit.backends.get``.
     groups : array-like of shape (n_features,), default=None
         Labels, equal for the columns of one group; None makes each column a group of its own.
     fit_intercept : bool, default=True
         True: b is fitted, without penalty; otherwise it is 0.
     certificate_tolerance : float, default=1e-8
-        The certificate up to which an answer counts as proven.
+        The largest certificate of status ``ok``.
 
     Attributes
     ----------
     coef_ : (n_features,), or (n_targets, n_features) where y is two-dimensional.
     intercept_ : float, or (n_targets,).
     status_, reason_ : ``ok``, or ``inaccurate`` and why.
-    certificate_ : what `sparsefit.fit` verified: its kind, value and rounding.
-    solver_status_ : the solver's own word.
+    certificate_ : of `sparsefit.fit`: its kind, value and rounding.
+    solver_status_ : the status reported by the solver.
     alpha_fraction_, alpha_ : the penalty used, where there is one, as a fraction and in the unit
         of y: that of `sklearn.linear_model.Lasso` on columns of unit standard deviation.
     n_iter_ : steps of the solver, or None; ``n_features_in_``, ``feature_names_in_`` : of X.
@@ -86,9 +86,9 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
     def fit(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> Self:  # noqa: N803
         """Fit X (n_samples, n_features), dense or sparse, and y (n_samples,) or of several columns.
 
-        sample_weight (n_samples,) >= 0: of the square of each residual. Warns ConvergenceWarning
-        where the certificate is above its tolerance. Raises FitFailed where the back-end has no
-        answer, and InputError on settings that are out of range; both are ValueError.
+        sample_weight (n_samples,) >= 0: the weight of each sample's loss. Warns ConvergenceWarning
+        where the certificate exceeds its tolerance. Raises FitFailed where the back-end returns no
+        weights, and InputError on settings out of range; both are ValueError.
         """
         backend, least = self._backend(), 2 if self.fit_intercept else 1
         checks = {"accept_sparse": self._formats, "dtype": np.float64, "ensure_min_samples": least}
@@ -107,19 +107,18 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         values = target.astype(np.float64).reshape(samples, -1)[counted]
         varies = _varying(design, centred=self.fit_intercept)
         names = getattr(self, "feature_names_in_", [f"x{i}" for i in range(columns)])
-        layout: dict[str, Any] = {"groups": self.groups, "names": list(names), "partial": True}
-        mean, level, unit = np.zeros(columns), np.zeros(values.shape[1]), 1.0
-        if issparse(design):  # it stays as it is: means and roots of weights are in its sums
-            shared: dict[str, Any] = {"sample_weight": weight, "intercept": self.fit_intercept}
-            problem = RegressionProblem.from_arrays(design, values, **shared, **layout)
-            mean, level = problem.means, problem.intercept_of(np.zeros((columns, len(level))))
-            unit = float(np.sqrt(weight.mean()))  # weights have a mean of 1 in there
-        else:
+        mean, unit = np.zeros(columns), float(np.sqrt(weight.mean()))
+        if issparse(design):  # it stays as it is: its means are in its sums
+            design = design if unit == 1.0 else cast(Any, design) * unit
+        else:  # an offset would cost digits
             if self.fit_intercept:
-                mean, level = (np.average(v, axis=0, weights=weight) for v in (design, values))
-            root = np.sqrt(weight)[:, None]
-            theta = (design - mean) * (root * varies)
-            problem = RegressionProblem.from_arrays(theta, (values - level) * root, **layout)
+                mean = np.average(design, axis=0, weights=weight)
+            design = (design - mean) * (unit * varies)
+        problem = RegressionProblem.from_arrays(
+            *(design, values * unit, self.groups, list(names)),
+            sample_weight=None if sample_weight is None else weight,
+            intercept=self.fit_intercept, partial=True,
+        )  # fmt: skip
         fitted = certified(problem, backend, tolerance=self.certificate_tolerance)
         if not np.isfinite(fitted.weights).all():
             raise FitFailed(f"{backend.name} has no answer, {fitted.status}: {fitted.reason}")
@@ -127,14 +126,14 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
             words = f"{backend.name} is not certified, {fitted.status}: {fitted.reason}"
             warnings.warn(words, ConvergenceWarning, stacklevel=2)
         coefficients = fitted.weights.T * varies
-        intercept = level - coefficients @ mean
+        intercept = fitted.intercept / unit - coefficients @ mean
         self.coef_ = coefficients if target.ndim == 2 else coefficients[0]
         self.intercept_ = intercept if target.ndim == 2 else float(intercept[0])
         self.status_, self.reason_ = fitted.status, fitted.reason
         self.certificate_, self.solver_status_ = fitted.certificate, fitted.solver_status
         self.n_iter_ = fitted.iterations
         if hasattr(fitted.backend, "alpha_fraction"):
-            self.alpha_fraction_, self.alpha_ = fitted.alpha_fraction, fitted.alpha * unit
+            self.alpha_fraction_, self.alpha_ = fitted.alpha_fraction, fitted.alpha
         return self
 
     def predict(self, X: Any) -> Array:  # noqa: N803
@@ -171,12 +170,12 @@ def _varying(design: Any, *, centred: bool) -> BoolArray:
 
 
 class _Named(SparseRegressor):
-    """Base of the regressors of one back-end, whose parameters are its settings."""
+    """Base of the regressors of one back-end, with its settings as parameters."""
 
     _name: str
 
     def __new__(cls, *arguments: Any, **settings: Any) -> Self:
-        """Refuse a parameter that is none, with the one that may be meant."""
+        """Refuse an unknown parameter with the nearest valid name."""
         for key in settings:
             if key not in (valid := cls._get_param_names()):
                 raise unknown_setting(f"parameter of {cls.__name__}", key, valid)
@@ -189,11 +188,11 @@ class _Named(SparseRegressor):
 
 
 def __getattr__(name: str) -> Any:
-    """The regressor of a back-end, made when first asked for: a back-end is imported no sooner."""
+    """The regressor of a back-end, created and its back-end imported at first use."""
     if name not in NAMED:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     backend = load(NAMED[name])
-    own = f"{(backend.__doc__ or '').strip()}\n\n    `SparseRegressor` tells of the rest."
+    own = f"{(backend.__doc__ or '').strip()}\n\n    Attributes: see `SparseRegressor`."
     defaults = {item.name: item.default for item in fields(cast(Any, backend))} | SHARED
     settings = [(key, Any, field(default=value)) for key, value in defaults.items()]
     texts = {"__doc__": own, "__module__": __name__, "_name": NAMED[name]}

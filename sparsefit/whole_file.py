@@ -1,7 +1,7 @@
-"""Files that are written whole or not at all, and files that are read whole.
+"""Files that are written whole or not at all, and files that are read within a size.
 
-A file is written beside the target, then renamed over it. Those that are read are regular ones, of
-a size that is meant. An `InputError` names the file, the cause and what to do.
+A file is written beside its target, then renamed over it. Only regular files are read. An
+`InputError` names the file, the cause and the remedy.
 """
 
 import errno
@@ -30,7 +30,7 @@ def write_whole(path: str | os.PathLike[str], content: bytes | str) -> None:
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files into a folder that is there, each whole; return their paths in this order."""
+    """Write files into an existing folder, each whole; return their paths in this order."""
     for name, content in files.items():
         write_whole(folder / name, content)
     return [folder / name for name in files]
@@ -44,10 +44,9 @@ def read_whole(path: str | os.PathLike[str], *, most: int) -> bytes:
 
 @contextmanager
 def regular_file(path: str | os.PathLike[str], *, most: int) -> Iterator[BinaryIO]:
-    """A regular file of at most ``most`` bytes, open to be read in a ``with`` block.
+    """A regular file of at most ``most`` bytes, open for reading in a ``with`` block.
 
-    Raises InputError where there is none, it is empty, cannot be read or is too long; also of a
-    device or a pipe, which may have no end.
+    Raises InputError where it is missing, empty, unreadable or too long, or is a device or a pipe.
     """
     with refusing(path, "read"):
         try:
@@ -72,11 +71,11 @@ def regular_file(path: str | os.PathLike[str], *, most: int) -> Iterator[BinaryI
 
 @contextmanager
 def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A binary file to fill in a ``with`` block; it takes the place of ``path`` at its end.
+    """A binary file to write in a ``with`` block, which replaces ``path`` at its end.
 
-    It is made anew in the folder of ``path``, under a name that nobody can foresee and with the
-    permissions of any new file: no link that waits there is followed. Where the block or the disk
-    fails, it is removed and ``path`` is as it was. Raises InputError if it cannot be written.
+    It is created in the folder of ``path`` under a random name, so that no link is followed, with
+    the permissions of a new file. Where the block or the disk fails, it is removed and ``path`` is
+    unchanged. Raises InputError if it cannot be written.
     """
     target = Path(path)
     beside = target.parent / f".{target.name[:32]}.{secrets.token_hex(8)}.partial"
@@ -94,7 +93,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 @contextmanager
 def refusing(path: str | os.PathLike[str], deed: str = "write") -> Iterator[None]:
-    """Tell an `OSError` inside as `InputError`: the path, what cannot be done, cause, remedy."""
+    """Raise an `OSError` of the block as an `InputError` with the path, its cause and a remedy."""
     try:
         yield
     except OSError as error:

@@ -4,7 +4,6 @@ import ast
 import importlib
 import inspect
 import re
-import subprocess
 import sys
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,7 @@ from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 GUIDE = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
-ORDER = GUIDE.partition("stand before it:")[2].partition("`tests/")[0]
+ORDER = GUIDE.partition("precede it in this order:")[2].partition("`tests/")[0]
 ROOMS = tuple(re.findall(r"`(\w+)`", ORDER))
 SOLVERS = {"cvxpy", "clarabel", "osqp", "scs", "highspy", "ecos"}
 PEERS = {"sklearn", "celer", "skglm", "pysindy", "glum", "sortedl1", "spams"}
@@ -229,23 +228,3 @@ def test_random_numbers_come_from_seeds():
         and node.attr not in seeded
     ]
     assert not wrong
-
-
-def test_an_estimator_needs_none_of_the_rooms_below_it():
-    code = (
-        "import sys, sparsefit, sparsefit.estimator; "
-        "sparsefit.estimator.estimator.Estimator().to_json(); print('\\n'.join(sys.modules))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=PACKAGE.parent,
-    )
-    loaded = set(done.stdout.split())
-    below = ROOMS[ROOMS.index("estimator") + 1 :]
-    assert not loaded & {f"sparsefit.{room}" for room in below}
-    assert not {name.split(".")[0] for name in loaded} & (
-        {"cvxpy", "clarabel", "osqp", "matplotlib", "pandas", "scipy"} | PEERS | READERS
-    )

@@ -58,18 +58,15 @@ def test_what_is_no_finite_number_is_refused(check, value):
         check("tau", value, "s")
 
 
-def test_signs():
+def test_numbers_pairs_and_odd_integers():
     assert finite("a", -1) == -1.0
     assert non_negative("a", 0) == 0.0
     with pytest.raises(InputError, match="above 0"):
         positive("a", 0)
     with pytest.raises(InputError, match="0 or above"):
         non_negative("a", -1e-300)
-
-
-def test_pair():
-    assert pair("a", np.array([1, 2])) == (1.0, 2.0)
-    assert pair("a", [1, 2.0]) == (1.0, 2.0)
+    assert pair("a", np.array([1, 2])) == pair("a", [1, 2.0]) == (1.0, 2.0)
+    assert [type(integer("window", odd, 3, odd=True)) for odd in (3, np.int64(5), 101)] == [int] * 3
 
 
 @pytest.mark.parametrize("value", [1.0, (1.0,), (1.0, 2.0, 3.0), "ab", None])
@@ -78,11 +75,6 @@ def test_what_is_no_pair_is_refused(value):
         pair("a", value, "m")
     with pytest.raises(InputError, match=r"a\[1\] must be a finite number \[m\]; got nan"):
         pair("a", (1.0, math.nan), "m")
-
-
-@pytest.mark.parametrize("value", [3, np.int64(5), 101])
-def test_odd_integers(value):
-    assert type(integer("window", value, 3, odd=True)) is int
 
 
 @pytest.mark.parametrize("value", [1, 4, True, 5.0, "5", None, math.nan])

@@ -12,7 +12,6 @@ import pytest
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.cli import main
-from sparsefit.errors import InputError
 from sparsefit.regression.backend import plugins
 from sparsefit.sklearn import SparseRegressor
 from sparsefit.study import worker
@@ -85,8 +84,3 @@ def test_check_names_what_is_wrong(capfd, monkeypatch, name, words):
     assert code == (1 if words else 0)
     assert len(record["faults"]) == (1 if words else 0), record["faults"]
     assert words is None or words in record["faults"][0]
-
-
-def test_a_package_that_is_missing_on_import_is_named():
-    with pytest.raises(InputError, match=r"'absent' .* No module named 'no_such_solver'"):
-        backends.load("absent")

@@ -76,11 +76,3 @@ def test_weights_that_are_not_fitted_again_are_those_that_are_certified(states):
     fitted(unbiased, states)
     assert np.array_equal(unbiased.coef_ != 0, shrunk.coef_ != 0)
     assert np.abs(unbiased.coef_ - shrunk.coef_).max() > 1e-3
-
-
-def test_a_group_back_end_keeps_a_term_for_all_states_or_none(states):
-    joint = Optimizer("group-lasso", unbias=False)
-    fitted(joint, states)
-    used = joint.coef_ != 0
-    assert np.array_equal(used.any(axis=0), used.all(axis=0))
-    assert 0 < used.any(axis=0).sum() < 10

@@ -88,7 +88,14 @@ def test_no_scale_has_no_error_and_no_tolerance_is_refused():
     assert (found.detected, found.missed, found.spurious) == (0, 2, 0)
     assert math.isnan(found.max_length_scale_error)
     assert not found.within(100.0)
-    assert sf.score.score_scales(estimate(10.0, 4.0), FLOW).spurious == 0
+    for value, counts in ((4.0, (1, 0, 0)), (5.0, (0, 1, 1)), (math.nan, (0, 1, 0))):
+        one = sf.score.score_scales(estimate(10.0, value), FLOW)
+        assert (one.detected, one.missed, one.spurious) == counts
+    for wrong in (None, Offset(FLOW, (1.0, 0.0)), sf.flows.SuperposedFlow((), (1.0, 0.0))):
+        with pytest.raises(InputError, match="must have cells"):
+            sf.score.score(estimate(10.0, 4.0), wrong, [4.0])
+    with pytest.raises(InputError, match="must be a flow of sparsefit"):
+        sf.score.score_scales((), None)
     with pytest.raises(sf.InputError, match="tolerance"):
         sf.score.score_scales((), FLOW, tolerance=0.0)
 
@@ -118,6 +125,7 @@ def test_prediction_error_is_the_relative_miss_along_other_flights():
     flow = sf.flows.ShapedCells(10.0, 4.0, heading=0.2, drift=(0.5, 0.0))
     flights = others(flow)
     assert sf.score.prediction_error(flow, flights) == 0.0
+    assert sf.score.prediction_error(flow, flights[0]) == 0.0
     assert sf.score.prediction_error(None, flights) == 1.0
     # doubled: |2 w - w| / |w|
     doubled = sf.flows.ShapedCells(20.0, 4.0, heading=0.2, drift=(0.5, 0.0))
@@ -135,6 +143,8 @@ def test_prediction_needs_flights_that_know_their_flow():
     for bad in ([], [replace(flight, flow=None)]):
         with pytest.raises(InputError, match="each with its true flow"):
             sf.score.prediction_error(None, bad)
+    with pytest.raises(InputError, match="flow must be one of"):
+        sf.score.prediction_error(estimate(10.0, 4.0), flight)
 
 
 def test_an_estimate_predicts_its_flow():

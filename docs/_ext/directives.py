@@ -1,10 +1,10 @@
-"""Directives of the documentation: what the package and its results say of themselves.
+"""Directives of the documentation, generated from the package and its results.
 
-`{results} STUDY/TABLE` rows and columns of a CSV file in results/, `{answers}` the question and the
-sentence of every study, the role `{measured}` one figure of a table, held against what the sentence
-around it claims; `{study-keys} SECTION` the keys of a study file, `{study-names} KIND` names that
-[outputs] takes, `{backend-settings}` and `{commands}` what the package offers. READMEs of studies
-become pages.
+`{results} STUDY/TABLE`: rows and columns of a CSV file in results/; `{answers}`: the question
+and headline of every study; the role `{measured}`: a number of a table, checked against the claim
+of its sentence; `{study-keys} SECTION`: keys of a study file; `{study-names} KIND`: names for
+[outputs]; `{backend-settings}` and `{commands}`: back-ends and verbs. READMEs of studies become
+pages.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def table(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
     return [f"| {' | '.join(row)} |" for row in (first, ["---"] * len(first), *every)]
 
 
-# The records that keys of a section are fields of: "study" is the top of a file of flights,
+# The records whose fields are the keys of a section: "study" is the top of a file of flights,
 # "solvers" that of problems, whose [[backends]] are "contenders", [[solvers]] "own-solvers".
 RECORDS = {
     "study": (keys.FlightFile,), "flights": (FlightWords,), "logs": (keys.LogRules,),
@@ -61,7 +61,7 @@ RECORDS = {
 
 
 def meanings(section: str) -> dict[str, str]:
-    """The words of each key of a section: of its records, or of study-keys.toml."""
+    """The description of each key of a section, from its records or study-keys.toml."""
     words = dict.fromkeys(crossing.SECTION_KEYS.get(section, ()), "")
     for kind in RECORDS.get(section, ()):
         words |= sentences(kind)
@@ -72,7 +72,7 @@ def meanings(section: str) -> dict[str, str]:
 
 
 def key_table(section: str, _: Mapping[str, str] | None = None) -> list[str]:
-    """A Markdown table of the keys of a section. Raises ValueError where one has no words."""
+    """A Markdown table of the keys of a section; ValueError for one without a description."""
     words = meanings(section)
     missing = [key for key, text in words.items() if not text]
     if missing or not words:
@@ -117,10 +117,10 @@ def results(name: str, options: Mapping[str, str]) -> list[str]:
 
 
 def measured(text: str) -> str:
-    """The figure that `STUDY/TABLE; COLUMN; SUMMARY; CLAIM; WHERE` asks for.
+    """The number defined by `STUDY/TABLE; COLUMN; SUMMARY; CLAIM; WHERE`.
 
     SUMMARY is min, max, median, sum or range of the column, CLAIM `<= 5`, `>= 90` or `-`, WHERE
-    `column=value|value; ...`. Raises ValueError where the figure contradicts the claim.
+    `column=value|value; ...`. Raises ValueError if the number contradicts the claim.
     """
     name, column, summary, claim, *where = _listed(text)
     values = pd.to_numeric(_selected(name, [column], "; ".join(where))[column]).dropna()
@@ -133,7 +133,7 @@ def measured(text: str) -> str:
 
 
 def measured_role(role, rawtext, text, lineno, inliner, options=None, content=None):
-    """A figure of a study in a sentence."""
+    """The role for a number of a study in a sentence."""
     try:
         return [nodes.Text(measured(text))], []
     except (OSError, ValueError) as error:
@@ -142,7 +142,7 @@ def measured_role(role, rawtext, text, lineno, inliner, options=None, content=No
 
 
 def answers(_: str, options: Mapping[str, str]) -> list[str]:
-    """The question and the sentence of every study, as the program wrote them."""
+    """The question and the headline of every study."""
     rows = []
     for path in sorted(RESULTS.glob("*/README.md")):
         _, question, answer, *_ = path.read_text("utf-8").split("\n\n")
@@ -152,7 +152,7 @@ def answers(_: str, options: Mapping[str, str]) -> list[str]:
 
 
 def study_names(kind: str, options: Mapping[str, str]) -> list[str]:
-    """The names that [outputs] takes: of tables, figures, summaries or measures."""
+    """The names for [outputs]: tables, figures, summaries or measures."""
     if kind == "measures":
         rows = [(f"`{name}`", each.words, each.unit, each.kind or "flights, problems")
                 for name, each in measures.MEASURES.items()]  # fmt: skip
@@ -163,7 +163,7 @@ def study_names(kind: str, options: Mapping[str, str]) -> list[str]:
 
 
 def backend_settings(_: str, options: Mapping[str, str]) -> list[str]:
-    """Every back-end: what it minimises, in its own words, and its settings."""
+    """The docstring and the settings of every back-end."""
     lines: list[str] = []
     for name in backends.known():
         kind = backends.load(name)
@@ -189,7 +189,7 @@ def commands(_: str, options: Mapping[str, str]) -> list[str]:
 
 
 def written(content: Callable[[str, Mapping[str, str]], list[str]]) -> type[SphinxDirective]:
-    """A directive of the lines of Markdown that `content` gives of its argument and options."""
+    """A directive whose Markdown lines are computed by `content` from its argument and options."""
 
     class Written(SphinxDirective):
         option_spec: ClassVar = dict.fromkeys(("columns", "names", "where"), directives.unchanged)
@@ -224,13 +224,13 @@ def write_pages(app: Sphinx) -> None:
 
 
 def link_pages(app: Sphinx, name: str, source: list[str]) -> None:
-    """Let a link to the README of a study lead to its page."""
+    """Link to the page of a study in place of its README."""
     if "/" not in name:
         source[0] = README.sub(r"](studies/\1.md)", source[0])
 
 
 def load_names(app: Sphinx, name: str, source: list[str]) -> None:
-    """Import the names of the rooms of a page, which a room does when they are first used."""
+    """Import the lazily loaded public names of the modules of a page."""
     for module in re.findall(r"automodule:: (\S+)", source[0]):
         room = import_module(module)
         for item in getattr(room, "__all__", ()):
@@ -238,7 +238,7 @@ def load_names(app: Sphinx, name: str, source: list[str]) -> None:
 
 
 def a_bar(inliner: Inliner, match: re.Match[str], lineno: int):
-    """A bar as a letter: |w| is a size in docstrings, and no substitution."""
+    """Treat a bar as text: |w| is a norm in docstrings, not a substitution."""
     end = match.end("start")
     return match.string[:end], [], match.string[end:], []
 
@@ -253,7 +253,7 @@ def _math(block: bool):
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the directives, and formulas as MathML, for which nothing is fetched."""
+    """Register the directives and a MathML renderer, which needs no script from the web."""
     for content in (results, study_names, backend_settings, answers, commands):
         app.add_directive(content.__name__.replace("_", "-"), written(content))
     app.add_directive("study-keys", written(key_table))
@@ -263,6 +263,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("source-read", link_pages)
     app.connect("source-read", load_names)
     Inliner.dispatch = {**Inliner.dispatch, "|": a_bar}
-    # Napoleon takes the words before the first colon of a property for a type: here they are words.
+    # Napoleon would take the words before the first colon of a property for its type.
     GoogleDocstring._parse_attribute_docstring = GoogleDocstring._consume_to_end
     return {"parallel_read_safe": False, "parallel_write_safe": True}

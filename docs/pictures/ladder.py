@@ -1,4 +1,4 @@
-"""The ladder of shapes: which flow is it?"""
+"""Residuals and BIC of the shapes that the ladder fits."""
 
 import matplotlib.pyplot as plt
 
@@ -21,5 +21,5 @@ bars = axes.barh(names, [100.0 * rung.residual for rung in rungs], color=colours
 axes.bar_label(
     bars, [f"BIC +{rung.bic:.0f}" if rung.bic else "chosen" for rung in rungs], padding=4
 )
-axes.set(xlabel="left of the flow velocity's squares [%]", xscale="log")
+axes.set(xlabel="residual energy of the flow velocity [%]", xscale="log")
 axes.set_xlim(right=1000.0)

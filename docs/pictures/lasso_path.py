@@ -1,4 +1,4 @@
-"""A LASSO path, and the proof of every point on it."""
+"""A LASSO path and the duality gap of every point."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -1,4 +1,4 @@
-"""How often is the error at most so large?"""
+"""Distribution of the error of the length scale, by back-end."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -15,10 +15,10 @@ settings = {
 
 figure, axes = plt.subplots(figsize=(8.0, 4.5))
 for backend, setting in settings.items():
-    kept = cases[(cases.backend == backend) & cases.settings.str.contains(setting, regex=False)]
-    error = 100.0 * (kept.est_length_scale / kept.true_length_scale - 1.0).abs()
+    rows = cases[(cases.backend == backend) & cases.settings.str.contains(setting, regex=False)]
+    error = 100.0 * (rows.est_length_scale / rows.true_length_scale - 1.0).abs()
     error = np.sort(error.fillna(np.inf))
     axes.step(error, 100.0 * np.arange(1, len(error) + 1) / len(error), where="post", label=backend)
 axes.set(xscale="log", xlim=(0.01, 300.0), ylim=(0.0, 101.0))
-axes.set(xlabel="|error| of L_w [%]", ylabel="flights with at most so much [%]")
+axes.set(xlabel="|error| of L_w [%]", ylabel="share of flights [%]")
 axes.legend(frameon=False)

@@ -1,4 +1,4 @@
-"""A flight over the cells that it revealed."""
+"""A flight over the estimated flow."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -181,11 +181,11 @@ def key_value(text: str) -> tuple[str, Any]:
 
 PAIRS = {"action": "append", "default": []}
 SETTING = Option(
-    "--setting", "setting of the back-end; repeat it for more than one", "KEY=VALUE", key_value,
+    "--setting", "setting of the back-end; may be repeated", "KEY=VALUE", key_value,
     PAIRS,
 )  # fmt: skip
 RESULTS = Option(
     "--results", "folder of the results of all studies; default: results beside the study file",
     "FOLDER",
 )  # fmt: skip
-FORCE = Option("--force", "overwrite what is written there", read=None)
+FORCE = Option("--force", "overwrite an existing file", read=None)

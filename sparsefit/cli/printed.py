@@ -32,6 +32,7 @@ SHAPES = {
     "square": "square cells",
     "rectangle": "rectangular cells",
     "pair": "two waves",
+    "scales": "cells of several length scales",
     "several": "several waves",
 }
 
@@ -57,7 +58,7 @@ class ReadLog:
         only = "" if flight.velocity_measured else "; positions only give the velocity"
         yield "flight", f"{one_line(self.path)}: {words}{only}"
         yield "log", self.quality.words
-        yield "frame", f"{frame}: {FRAMES[frame]}" if frame else f"not told: {FRAMES['']}"
+        yield "frame", f"{frame}: {FRAMES[frame]}" if frame else f"not stated: {FRAMES['']}"
         yield from (("" if place else "read as", note) for place, note in enumerate(self.notes))
         if own.repairs.words:
             yield "repaired", own.repairs.words
@@ -70,14 +71,14 @@ class ReadLog:
         }
         if flight.thrust is None:
             given["thrust_scale"] = ""
-        told = [words for name, words in given.items() if words and name not in unknown]
-        yield "vehicle", ", ".join(told) or "unknown"
+        believed = [words for name, words in given.items() if words and name not in unknown]
+        yield "vehicle", ", ".join(believed) or "unknown"
 
 
 def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -> list[str]:
     """The lines of the answer: flights and vehicles, the parameters, the status and its proof.
 
-    Of a vehicle only what was not ``unknown`` is told as given; of several flights what is
+    Parameters of the vehicle that were ``unknown`` are not listed; of several flights what is
     estimated of each, by number.
     """
     pairs: list[tuple[str, str]] = []
@@ -88,7 +89,9 @@ def lines(logs: Sequence[ReadLog], estimate: Estimate, unknown: Sequence[str]) -
             counts = f"so that a sample counts for {own.noise**-2:.2g}"
             pairs += [("noise", f"{own.noise:.3g} of the mean, {counts}"), *_vehicle(own)]
         pairs.append(("", ""))
-    return terminal.rows([*pairs, *_answer(estimate)], 20)
+    # The innovations of a log without noise are rounding, which is not white.
+    noisy = all(log.quality.position_noise > 1e-9 * max(log.quality.extent) for log in logs)
+    return terminal.rows([*pairs, *_answer(estimate, noisy)], 20)
 
 
 def _quantity(label: str, record: Any, name: str, unit: str, spreads: Uncertainty | None) -> Rows:
@@ -104,7 +107,7 @@ def _vehicle(owner: FlightEstimate) -> Rows:
             yield from _quantity(label, owner, name, unit, owner.vehicle_uncertainty)
 
 
-def _answer(estimate: Estimate) -> Rows:
+def _answer(estimate: Estimate, noisy: bool) -> Rows:
     """Rows of the parameters, of the shape, of how well they fit, and of the status."""
     for symbol, name, unit in PARAMETERS:
         label = f"{name.replace('_', ' '):<14} {symbol}"
@@ -118,11 +121,12 @@ def _answer(estimate: Estimate) -> Rows:
         words = f"{change.rate:+.2g} m/s^2  ± {change.standard_error:.2g}"
         yield "change of U0", f"{words}; p = {change.p_value:.2g} if it is constant"
     if fit is not None:
-        # Where R² is printed as 1, the rest is nobody's noise.
-        tested = fit.whiteness == fit.whiteness and 1 - fit.r_squared >= 5e-7
-        white = f"; whiteness of the rest: p = {fit.whiteness:.2g}" if tested else ""
-        yield "goodness of fit", f"R² {fit.r_squared:.6f}{white}"
-        if fit.turbulence_share > 1e-3:  # of U0; below it nobody felt any
+        share, white = 100.0 * (1.0 - fit.r_squared), ""
+        if noisy and fit.whiteness == fit.whiteness:
+            white = f"innovations {'not ' * (fit.whiteness < 0.01)}white, p = {fit.whiteness:.2g}; "
+        size = f"{share:.2g}" if share >= 5e-4 else "0"
+        yield "goodness of fit", f"{white}disturbances {size} % of the air velocity's variance"
+        if fit.turbulence_share > 1e-3:  # of U0; below it is rounding
             share = 100 * fit.turbulence_share
             yield "turbulence", f"{fit.turbulence:.3g} m/s rms, {share:.3g} % of U0"
     yield "", ""
@@ -139,8 +143,10 @@ def _answer(estimate: Estimate) -> Rows:
     yield from [("", "")] if estimate.scales else []
     reason = f": {estimate.reason}" if estimate.reason else ""
     yield "status", terminal.coloured(estimate.status) + reason
-    yield "back-end", f"{estimate.backend}  {terminal.typed(estimate.settings)}".rstrip()
-    yield "certificate", terminal.proof(certificate)
+    settings = (f"{key}={terminal.word(value)}" for key, value in estimate.settings.items())
+    yield "back-end", f"{estimate.backend}  {' '.join(settings)}".rstrip()
+    proof = f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
+    yield "certificate", proof
     yield "problem", f"{estimate.samples} samples x {estimate.columns} columns"
 
 

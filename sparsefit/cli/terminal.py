@@ -10,12 +10,9 @@ import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from sparsefit.errors import InputError, one_line, one_of
-
-if TYPE_CHECKING:
-    from sparsefit.regression import Certificate
 
 COLOURS = {"ok": "32", "inaccurate": "33", "unidentifiable": "33", "misfit": "33", "skipped": "33"}
 
@@ -89,24 +86,9 @@ def check_output(path: str, *, force: bool, endings: Collection[str] = ()) -> No
         raise InputError(f"{path} exists; add --force or choose another name")
 
 
-def proof(certificate: Certificate | None) -> str:
-    """A certificate in words, `duality_gap 1.2e-10`, or `none`."""
-    return f"{certificate.kind} {certificate.value:.1e}" if certificate else "none"
-
-
-def typed(settings: Mapping[str, Any]) -> str:
-    """Settings as they are typed: `alpha_fraction=0.1 separate=false`."""
-    return " ".join(f"{key}={word(value)}" for key, value in settings.items())
-
-
 def word(value: object) -> str:
     """A value as it is typed: `true`, `none`, `0.1`."""
     return str(value).lower() if isinstance(value, bool) or value is None else str(value)
-
-
-def duration(seconds: float) -> str:
-    """A time span in words: `0.42 s`, `35 s`, `0:04:05`."""
-    return f"{seconds:.2g} s" if seconds < 59.5 else str(timedelta(seconds=round(seconds)))
 
 
 def terminal_width() -> int:
@@ -124,7 +106,8 @@ class Progress:
         """Tell that `done` of `planned` are finished, with the seconds left where known."""
         line = f"{done}/{planned} {self._what}, {100 * done // max(planned, 1)} %"
         if done < planned and left is not None:
-            line += f", about {duration(left)} left"
+            span = f"{left:.2g} s" if left < 59.5 else timedelta(seconds=round(left))
+            line += f", about {span} left"
         now = time.monotonic()
         if sys.stderr.isatty():
             print(f"\r{line}\033[K", end="", file=sys.stderr, flush=True)

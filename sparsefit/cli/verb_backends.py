@@ -1,4 +1,4 @@
-"""`sparsefit backends`: what can be chosen, and whether it works here."""
+"""`sparsefit backends`: the back-ends with their settings, and whether one works here."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ example:
   sparsefit backends check group-lasso --setting solver=clarabel
 """
 NAME = Option("name", "a back-end, see sparsefit backends list", "NAME")
-TIMEOUT = Option("--timeout", "how long a plug-in may take; default: 60", "s", float,
+TIMEOUT = Option("--timeout", "time limit of a plug-in; default: 60", "s", float,
                  {"default": 60.0})  # fmt: skip
 
 
@@ -94,7 +94,7 @@ def run_check(args: argparse.Namespace) -> Reply:
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """The answer of the back-end on a small flight, JSON-ready."""
     import sparsefit as sf
-    from sparsefit.solvers.contract import faults
+    from sparsefit.backends import faults
 
     backend = sf.backends.get(name, **settings)
     truth, vehicle = sf.CellularFlow(15.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
@@ -106,7 +106,7 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     record = {"status": "error", "reason": "it breaks the contract of a back-end"}
     try:
         record = estimator.read(prepared, estimator.fit(prepared)).to_dict()
-    except Exception:  # whatever it raises: where a fault is known, that says it better
+    except Exception:  # any: a fault that was found describes it better
         if not wrong:
             raise
     answer = {key: record[key] for key in ANSWER if key in record}

@@ -28,33 +28,33 @@ LOG = (
     Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
            "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
            "MAP"),
-    Option("--from", "first second that is read", "s", float, {"dest": "begin"}),
-    Option("--to", "last second that is read", "s", float, {"dest": "end"}),
-    Option("--longest-gap", "a log with a longer one is refused; default: 60 s, or 20 steps", "s",
+    Option("--from", "time from which the log is read", "s", float, {"dest": "begin"}),
+    Option("--to", "time up to which the log is read", "s", float, {"dest": "end"}),
+    Option("--longest-gap", "longest gap that is accepted; default: 60 s, or 20 steps", "s",
            float),
 )  # fmt: skip
 VEHICLE = {  # the setting of a flight file that an option replaces
     "response_time": Option(
-        "--response-time", "of linear drag; alone: no quadratic drag", "s", float),
+        "--response-time", "response time of linear drag; alone: no quadratic drag", "s", float),
     "drag": Option("--drag", "quadratic drag; alone: no linear drag", "1/m", float),
     "thrust_ax": Option("--thrust-ax", "thrust along x", "m/s^2", float),
     "thrust_ay": Option("--thrust-ay", "thrust along y", "m/s^2", float),
-    "thrust_scale": Option("--thrust-scale", "of the measured thrust ax, ay", "NUMBER", float),
+    "thrust_scale": Option("--thrust-scale", "factor of the logged thrust ax, ay", "NUMBER", float),
 }  # fmt: skip
 
 ESTIMATOR = {  # the dotted key of an estimator: the option that sets it
     "library.lower": Option(
-        "--grid-lower", "least length scale sought; default: 1 m", "m", float),
-    "library.upper": Option("--grid-upper", "largest one; default: 12 m", "m", float),
-    "library.step": Option("--grid-step", "between candidates; default: 0.2 m", "m", float),
+        "--grid-lower", "smallest length scale; default: 1 m", "m", float),
+    "library.upper": Option("--grid-upper", "largest length scale; default: 12 m", "m", float),
+    "library.step": Option("--grid-step", "step of the grid; default: 0.2 m", "m", float),
     "library.unknown": Option(
-        "--unknown", "estimated with the flow: response_time, drag, thrust_scale, "
+        "--unknown", "parameters of the vehicle to estimate: response_time, drag, thrust_scale, "
         "thrust_acceleration, wind", "NAME", extra={"nargs": "+"}),
     "free": Option(
-        "--free", "measured with the flow, as a misfit names it: latency, velocity_scale, lag ...; "
-        "auto: whatever is found", "NAME", extra={"nargs": "+"}),
+        "--free", "causes of a misfit to estimate: latency, velocity_scale, lag ...; "
+        "auto: all that are found", "NAME", extra={"nargs": "+"}),
     "backend.name": Option(
-        "--backend", "that picks the candidates; default: group-lasso", "NAME"),
+        "--backend", "back-end that selects the candidates; default: group-lasso", "NAME"),
 }  # fmt: skip
 SET = Option(
     "--set", "any other key of [derivative], [library] or [readout] of a study file, as "
@@ -129,7 +129,7 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
     if any(placed) and not all(placed):
         where, nowhere = args.flight[placed.index(True)], args.flight[placed.index(False)]
         raise InputError(
-            f"{nowhere}: it does not tell where on the Earth it is, and {where} does: several "
+            f"{nowhere}: has no longitude and latitude, and {where} has: several "
             "flights need one frame; give x and y of all in metres about one place"
         )
     logs, grid = [], estimator.library.grid

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 READERS: dict[type, tuple[Any, str]] = {bool: (None, ""), int: (int, "N"), str: (str, "WORDS")}
 RUN = (
     Option("--processes", "of --check; default: one per processor", "N", int),
-    Option("--measure-again", "time the candidates anew, known or not", read=None),
+    Option("--measure-again", "measure all latencies again", read=None),
     Option("-o --output", "estimator to write; default: estimator.json", "FILE",
            extra={"default": "estimator.json"}),
     FORCE,
@@ -39,7 +39,7 @@ def add(verbs: Verbs) -> None:
 
 
 def run(args: argparse.Namespace) -> Reply:
-    """Choose one estimator from a finished study, and write it and the evidence.
+    """Choose one estimator from a finished study; write it and the evidence.
 
     example:
       sparsefit select studies/NAME.toml
@@ -47,7 +47,6 @@ def run(args: argparse.Namespace) -> Reply:
       sparsefit select studies/NAME.toml --criterion "95th percentile length-scale-error"
       sparsefit select studies/NAME.toml --on-board && sparsefit export estimator.json --c flow
     """
-    check_output(args.output, force=args.force)
     from sparsefit.study import evidence
     from sparsefit.study.selection import check, headline, lines, select
 
@@ -57,6 +56,8 @@ def run(args: argparse.Namespace) -> Reply:
     options = {name: value for name, value in given.items() if value is not None}
     rule = study.definition.selection.changed(OptionPlace(""), **options)
     of_flights = study.kind == "flights"
+    if of_flights:
+        check_output(args.output, force=args.force)
     flown, refused, latencies = study, {}, {}
     if rule.on_board:  # the candidates that can fly; cases that are there stay
         flown, refused = _ran(study.flown(), args), study.refusals
@@ -83,10 +84,7 @@ def run(args: argparse.Namespace) -> Reply:
         write_whole(args.output, text.encode())
         record |= {"output": args.output}
     else:
-        cell, cells = study.cells_of(chosen.candidate)[0], study.experiment.cells
-        settings = json.loads(cells["settings"][cell])
-        words = "".join(f", {name}={value!r}" for name, value in settings.items())
-        usage = f"use it: sf.path(problem, {cells['backend'][cell]!r}{words})"
+        usage = f"use it: {study.call(chosen.candidate)}"
     listed = (f"- {line}" for line in lines(selection, checked))
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
     said = [headline(selection), *listed, closing, usage]

@@ -1,4 +1,4 @@
-"""`sparsefit simulate`: fly a simulated vehicle and write what it logs.
+"""`sparsefit simulate`: simulate a flight and write its log.
 
 Its options are the quantities that a study draws, by name: `length_scale` is `--length-scale`.
 """
@@ -39,7 +39,7 @@ def add(verbs: Verbs) -> None:
     for name, words in sentences(FlightWords).items():
         groups["flow"].append(option_of(name, words, "NAME", str))
     options = (
-        Option("--seed", "of all that is random; default: 0", "N", int, {"default": 0}),
+        Option("--seed", "seed of the random numbers; default: 0", "N", int, {"default": 0}),
         Option("-o --output", "flight to write, .csv or .parquet", "FILE",
                extra={"required": True}),
         FORCE,

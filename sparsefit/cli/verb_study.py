@@ -28,33 +28,35 @@ example:
 """
 STUDY = Option("study", "study file, .toml", "STUDY")
 COUNTS = ("done", "resumed", "computed", "stale", "dropped", "processes", "seconds")
-STALE = "computed by other code than this; study run --stale renews"
+STALE = "computed by another version of the code; study run --stale renews"
 RUN = (
     Option("--processes", "default: one per processor of this machine", "N", int),
-    Option("--fresh", "start over, and drop the cases that are there", read=None),
-    Option("--retry-failed", "compute cases again that ended as error, timeout or crashed",
+    Option("--fresh", "start over, and drop all stored cases", read=None),
+    Option("--retry-failed", "compute again the cases that ended as error, timeout or crashed",
            read=None),
-    Option("--stale", "compute cases again that other code than this has computed", read=None),
+    Option("--stale", "compute again the cases of other versions of the code", read=None),
     Option("--scheduler", "of dask (an extra), tcp://host:8786 say, whose workers compute in place "
            "of processes of this machine", "ADDRESS"),
-    Option("--only", "compute no case but those of this back-end, label, protocol, problem or "
-           "solver (* for any letters) or case id; repeat it for more", "NAME", extra=PAIRS),
+    Option("--only", "compute only the cases of this back-end, label, protocol, problem or "
+           "solver (* for any letters) or case id; may be repeated", "NAME", extra=PAIRS),
+    Option("--against", "results folder of another run, with which the finished one is compared",
+           "FOLDER"),
 )  # fmt: skip
 SHOW = (
-    Option("--table", "one table, or more if repeated; default: those of the study", "NAME",
+    Option("--table", "table to print, may be repeated; default: those of the study", "NAME",
            extra=PAIRS),
     Option("--case", "run this one case again in this process, draw it, and print its numbers "
-           "beside the stored ones; ids stand in cases.parquet, in `errors` and in report.html",
+           "beside the stored ones; ids are in cases.parquet, in `errors` and in report.html",
            "CASE_ID"),
     Option("-o --output", "picture of the flight of the case, .svg, .png or .pdf; default: "
            "case-CASE_ID.svg in the results folder of the study", "FILE"),
     FORCE,
 )  # fmt: skip
 COMPARED = (
-    *(Option(name, f"the {name} run: a results folder, or a study file whose results are there",
+    *(Option(name, f"the {name} run: a results folder, or a study file with results",
              name.upper()) for name in ("first", "second")),
     RESULTS,
-    Option("--tolerance", "a number that changed by less is the same; default: 1e-6 of itself",
+    Option("--tolerance", "relative change of a number that counts; default: 1e-6",
            "SHARE", float),
 )  # fmt: skip
 PARTS = Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"})
@@ -109,25 +111,26 @@ def _checked(args: argparse.Namespace) -> Study:
 
 
 def check(args: argparse.Namespace) -> Reply:
-    """Check a study file, and say how many cases it plans."""
+    """Check a study file, and count its cases."""
     study = _checked(args)
     counts = {"kind": study.kind, "cases": study.planned.size, "hash": study.hash}
     return Reply({"study": study.name, "status": "ok", **counts, "missing": study.missing})
 
 
 def plan(args: argparse.Namespace) -> Reply:
-    """Count what a study will do and write."""
+    """Count the units, conditions, candidates and cases of a study."""
     study = read_study(args)
     return Reply({"study": study.name, "question": study.question, **study.counts()})
 
 
 def run_study(args: argparse.Namespace) -> Reply:
-    """Run a study, or go on with one that was stopped."""
+    """Run a study, or continue one that was stopped."""
     from sparsefit.study import page
+    from sparsefit.study.store import read_cases
 
     again = "without --fresh to continue" if args.fresh else "again to continue"
     args.stopped = f"stopped; run the same command {again}"
-    study = _checked(args)
+    study, other = _checked(args), read_cases(args.against) if args.against else None
     names = ("processes", "fresh", "retry_failed", "stale", "only", "scheduler")
     Thread(target=page.load, daemon=True).start()  # while workers compute
     with terminal.Progress() as progress:
@@ -144,17 +147,22 @@ def run_study(args: argparse.Namespace) -> Reply:
     written, cases = list(map(str, page.write(study))), study.cases
     record |= {"headline": page.headline(study, cases), "written": written, "report": written[-1]}
     shown = "" if args.json else page.show(study, cases, width=terminal_width())
-    return Reply(record, [shown, *terminal.rows(terminal.entries(record))])
+    lines = [shown, *terminal.rows(terminal.entries(record))]
+    if other is not None:
+        compared = _compared(other, cases, (args.against, str(summary.folder)))
+        record |= {"comparison": compared.record}
+        lines += ["", *(compared.lines or ())]
+    return Reply(record, lines)
 
 
 def _warn(count: int, words: str) -> None:
-    """Tell on stderr what happened to so many cases, where there are any."""
+    """Print on stderr what happened to a number of cases, if any."""
     if count:
         print(f"{count} case{'s' * (count > 1)} {words}", file=sys.stderr)
 
 
 def status(args: argparse.Namespace) -> Reply:
-    """Tell how far a study is, also while it runs."""
+    """Print the progress of a study, also while it runs."""
     study = read_study(args)
     state = study.status()
     _warn(state.stale, STALE)
@@ -216,13 +224,12 @@ def report(args: argparse.Namespace) -> Reply:
 
 
 def compare(args: argparse.Namespace) -> Reply:
-    """Hold two runs of a study against each other, case by case; exit 1 where any differs.
+    """Compare two runs of a study case by case; exit code 1 if any case differs.
 
     example:
       sparsefit study compare results-0.3/table2 results/table2
       sparsefit study compare old/table2 studies/table2.toml
     """
-    from sparsefit.study import compare as comparing
     from sparsefit.study.store import read_cases
 
     def cases(name: str) -> pd.DataFrame:
@@ -232,17 +239,24 @@ def compare(args: argparse.Namespace) -> Reply:
 
         return Study.from_file(name, results=args.results).cases
 
-    limit = comparing.TOLERANCE if args.tolerance is None else args.tolerance
-    tolerance, names = non_negative("--tolerance", limit), (args.first, args.second)
-    first, second = map(cases, names)
-    both = comparing.compare(first, second, names, tolerance)
+    names = (args.first, args.second)
+    return _compared(cases(args.first), cases(args.second), names, args.tolerance)
+
+
+def _compared(first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str],
+              tolerance: float | None = None) -> Reply:  # fmt: skip
+    """What differs between the cases of two runs."""
+    from sparsefit.study import compare as comparing
+
+    limit = comparing.TOLERANCE if tolerance is None else tolerance
+    both = comparing.compare(first, second, names, non_negative("--tolerance", limit))
     tables = (table for table in both.tables.values() if len(table.frame))
     lines = [*(table.to_text(terminal_width()) for table in tables), both.sentence]
     return Reply(both.record(), lines, int(both.differs))
 
 
 def merge(args: argparse.Namespace) -> Reply:
-    """Bring parts of a study together that were run in several places.
+    """Merge parts of a study that were run in several places.
 
     example:
       sparsefit study run studies/table2.toml --only lasso          # on one machine

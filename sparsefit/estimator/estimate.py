@@ -1,4 +1,4 @@
-"""What comes of a flight: the parameters, how sure they are, and how they came about."""
+"""The result of an estimate: parameters, standard errors, status and diagnostics."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sparsefit.likelihood.posterior import Posterior
 
 Pair = tuple[float, float]
-FINEST = 1e-6  # of a standard error: below it, more digits say nothing
+FINEST = 1e-6  # the least standard error that sets the number of decimals
 PARAMETERS = (
     ("U0", "mean_velocity", "m/s"),
     ("L_w", "length_scale", "m"),
@@ -31,32 +31,32 @@ PARAMETERS = (
 
 
 def decimals(spread: float) -> int:
-    """Decimals that show two digits of a standard error; four where it is tiny or not known."""
+    """The decimals that show two digits of a standard error; 4 if it is tiny or unknown."""
     return max(0, 1 - math.floor(math.log10(spread))) if FINEST <= spread < math.inf else 4
 
 
 class Doubt(StrEnum):
-    """The kind of doubt that keeps a flow from being told; an estimate's reason has its words."""
+    """The kind of reason for which an estimate is not ``ok``."""
 
-    NO_WEIGHTS = "no-weights"  # the back-end gave every column the weight zero
-    STILL_AIR = "still-air"  # the flow velocity is nothing beside the vehicle's own
-    DISAGREEMENT = "disagreement"  # the logged velocity is not that of the logged position
-    FEW_SAMPLES = "few-samples"  # fewer samples than unknowns, or than errors need
+    NO_WEIGHTS = "no-weights"  # all weights of the back-end are zero
+    STILL_AIR = "still-air"  # the flow velocity is constant, to rounding
+    DISAGREEMENT = "disagreement"  # logged velocity and logged position contradict each other
+    FEW_SAMPLES = "few-samples"  # too few samples to estimate their noise
     UNDERSAMPLED = "undersampled"  # the flow changes too much from sample to sample
     NO_FLOW = "no-flow"  # no length scale explains more than a uniform velocity does
     EDGE = "edge"  # the best length scale is a bound of the search
     RIVAL = "rival"  # another length scale fits too nearly as well
-    IMPRECISE = "imprecise"  # a parameter is known too poorly, or not at all
-    VEHICLE = "vehicle"  # the vehicle that fits best cannot be
-    NO_CELLS = "no-cells"  # waves were found that make no cells of one flow or two
+    IMPRECISE = "imprecise"  # an interval is wider than the readout's precision
+    VEHICLE = "vehicle"  # the estimated response time is not positive
+    NO_CELLS = "no-cells"  # the estimated waves are not the cells of one flow or two
     MEAN_VELOCITY = "mean-velocity"  # the readout gives no mean velocity above zero
     SHORT_TRACK = "short-track"  # the flight covers less than one period of the flow
-    MISFIT = "misfit"  # there is a flow, but it is not the one that was fitted
+    MISFIT = "misfit"  # the model of flow, vehicle or log is wrong
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A status, with the doubt behind it and the reason in words."""
+    """A status with its reason, in words and as a kind."""
 
     status: str
     reason: str = ""
@@ -65,45 +65,46 @@ class Verdict:
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """One cellular flow, of several perhaps."""
+    """The parameters of one cellular flow."""
 
     mean_velocity: float  #: U0 [m/s]
     length_scale: float  #: L [m]
     timescale: float  #: L/U0 [s], NaN where U0 is 0
     grid_length_scale: float = math.nan  #: the candidate behind it [m]
-    #: of these three, off the grid with the ``rms`` mean velocity, all flows measured together:
-    #: within the lobe that was chosen, whatever its rivals
+    #: of these three, from the joint likelihood of all flows; None on the grid
     uncertainty: Uncertainty | None = None
-    heading: float = math.nan  #: of the cells, counter-clockwise [rad]; NaN where it is not told
+    heading: float = math.nan  #: of the cells, counter-clockwise [rad]; NaN if unknown
 
 
 @dataclass(frozen=True)
 class RungEstimate:
-    """One shape of flow that was tried."""
+    """One shape of flow that the search proposed."""
 
     shape: str  #: its name
     drifting: bool  #: whether it moves
-    bic: float  #: n ln RSS + p ln n, less that of the best
-    residual: float  #: the share of the flow velocity's squares that it does not explain
+    bic: float  #: n ln RSS + p ln n of the rows, less the least of all shapes
+    residual: float  #: RSS over the sum of squares of the flow velocity
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShapeEstimate:
-    """The flow as a whole, in the coordinates and the time of the flight."""
+    """The shape of the flow, in the coordinates and the time of the flight."""
 
     shape: str = ""  #: ``axis``, ``square``, ``rectangle``, ``pair``, ``several``; "" on the grid
     length_scales: Pair | None = None  #: (L_x, L_y) [m] in the cells' own axes
     drift: Pair | None = None  #: the velocity of the pattern [m/s], (x, y)
-    shape_uncertainty: Uncertainty | None = None  #: of length scales, heading and drift
-    rungs: tuple[RungEstimate, ...] = field(default=(), repr=False)  #: every shape that was tried
+    shape_uncertainty: Uncertainty | None = None  #: of length_scales, heading and drift
+    rungs: tuple[RungEstimate, ...] = field(
+        default=(), repr=False
+    )  #: shapes proposed by the search
     scales: tuple[ScaleEstimate, ...] = ()  #: all flows, fastest first, where several are sought
     flow: FlowField | None = field(default=None, repr=False)  #: to be evaluated anywhere
-    rival_length_scale: float = math.nan  #: of the best other lobe [m]
+    rival_length_scale: float = math.nan  #: of a flow that fits nearly as well [m]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightEstimate:
-    """The part of an estimate that is of one flight; NaN and None of a vehicle that is known."""
+    """The quantities that belong to one flight; NaN or None if they were not estimated."""
 
     response_time: float = math.nan  #: tau [s]
     drag: float = math.nan  #: the coefficient of quadratic drag [1/m]
@@ -112,18 +113,17 @@ class FlightEstimate:
     wind: Pair | None = None  #: [m/s], (x, y)
     vehicle_uncertainty: Uncertainty | None = None  #: of those that were estimated
     samples: int = 0  #: that were fitted
-    goodness: Goodness | None = None  #: how well the flow explains the log
-    repairs: Repairs = Repairs()  #: of the log, made before
-    agreement: Agreement | None = None  #: of its logged position and velocity
-    #: of one of several flights the level of its noise over that of all: its rows count for one
-    #: over the square of it
+    goodness: Goodness | None = None  #: of the fit
+    repairs: Repairs = Repairs()  #: of the log, before the fit
+    agreement: Agreement | None = None  #: of logged position and velocity
+    #: of several flights: the standard deviation of its noise over the rms of all of them
     noise: float = math.nan
 
 
 def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) -> dict[str, Any]:
-    """The fields of `FlightEstimate` that a posterior tells of one of its flights, a vehicle's."""
+    """The fields of `FlightEstimate` by which a posterior describes the vehicle of a flight."""
     leg, suffix = posterior.legs[place], f"@{place + 1}" if place else ""
-    steady = not np.ptp(leg.nodes.push, axis=0).any()  # what was logged is in no element
+    steady = not np.ptp(leg.nodes.push, axis=0).any()  # a logged acceleration is in no element
     base = {"thrust_acceleration": believed.thrust_acceleration} if steady else {}
     shares = {"drag": 1.0 / leg.model.values["response_time"]}
     values, errors, absent = dict[str, Any](), dict[str, Any](), dict[str, None]()
@@ -141,16 +141,16 @@ def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Estimate(Brief, ScaleEstimate, ShapeEstimate, FlightEstimate):
-    """Estimated parameters, in m/s, m and s, NaN where there is none, and how they came about.
+    """Estimated parameters in m/s, m and s, NaN where there are none, and their diagnostics.
 
-    Of several flows the parameters are those of the fastest; of several flights what is of each
-    stands in `flights`.
+    Of several flows the parameters are those of the fastest; of several flights, the quantities
+    of each are in `flights`.
     """
 
-    #: ``ok``, ``misfit`` (there is a flow, but not the one assumed), ``inaccurate``,
+    #: ``ok``, ``misfit`` (the model of flow, vehicle or log is wrong), ``inaccurate``,
     #: ``unidentifiable`` or ``error``
     status: str
-    reason: str = ""  #: of the status, in words; empty where it is ``ok``
+    reason: str = ""  #: of the status, in words; empty if it is ``ok``
     backend: str = ""  #: its name
     settings: dict[str, Any] = field(default_factory=dict)  #: of the back-end
     certificate: Certificate | None = None  #: of its fit
@@ -158,10 +158,10 @@ class Estimate(Brief, ScaleEstimate, ShapeEstimate, FlightEstimate):
     weights_by_scale: dict[float, float] = field(default_factory=dict, repr=False)
     seconds: float = math.nan  #: of preparation, fit and readout together
     columns: int = 0  #: of the regression problem
-    doubt: Doubt | None = None  #: the kind of doubt behind the reason
+    doubt: Doubt | None = None  #: the kind of the reason
     flights: tuple[FlightEstimate, ...] = ()  #: of several flights through one flow, each
-    constancy: Constancy | None = None  #: how fast U0 changes while it is flown through
-    freed: tuple[str, ...] = ()  #: the names of what was freed beside the flow
+    constancy: Constancy | None = None  #: the rate of change of U0 during the flight
+    freed: tuple[str, ...] = ()  #: the names of the freedoms estimated beside the flow
 
     def __str__(self) -> str:
         """The status and its reason, or the parameters with their standard errors: one line."""

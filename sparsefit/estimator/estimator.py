@@ -164,8 +164,10 @@ class Estimator:
         from sparsefit.model import propose
 
         several, precision = self.readout.scales == "several", self.readout.precision
-        search, parts = prepared.search, dict[str, Any]()
-        early = next(doubts_of_logs(prepared, self.free), None)
+        parts, early = dict[str, Any](), next(doubts_of_logs(prepared, self.free), None)
+        if early is not None and early.doubt is not Doubt.STILL_AIR:
+            return parts, early
+        search = prepared.search  # which refuses flights that do not move
         if early is not None:
             return parts, early
         start = self.readout.start(search, fit, self.library)

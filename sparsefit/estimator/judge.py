@@ -1,7 +1,4 @@
-"""The reasons not to believe an estimate, in the order in which a pilot would ask for them.
-
-Each is one condition and one sentence; the first that holds is the verdict.
-"""
+"""The tests that make an estimate ``ok``, in order; the first that fails is the verdict."""
 
 from __future__ import annotations
 
@@ -12,12 +9,13 @@ import numpy as np
 
 from sparsefit.estimator.estimate import Doubt, ScaleEstimate, Verdict
 from sparsefit.estimator.measure import Measured
-from sparsefit.estimator.prepare import RESOLVED, Prepared, apart
-from sparsefit.likelihood.causes import FREEDOMS, Suspect
+from sparsefit.estimator.prepare import RESOLVED, Prepared, apart, ways_of
+from sparsefit.likelihood.causes import FREEDOMS, Suspect, two_digits
 from sparsefit.likelihood.diagnosis import usable
 from sparsefit.model.grid import extent_of
 
-DISAGREES = 0.2  # of the motion: position and velocity that are further apart are not of one
+PARALLEL = 0.98  # least correlation of displacements that differ by a factor alone
+DISAGREES = 0.2  # largest relative rms difference of displacements by position and velocity
 QUANTITIES = {
     "mean_velocity": "the mean velocity",
     "length_scale": "the length scale",
@@ -27,23 +25,23 @@ MORE = "more than noise is left"
 
 
 def unidentifiable(doubt: Doubt, words: str) -> Verdict:
-    """The verdict on a flow that is not told."""
+    """The verdict of a flow that the log does not determine."""
     return Verdict("unidentifiable", words, doubt)
 
 
 def misfit(words: str) -> Verdict:
-    """The verdict on another flow, vehicle or log than was fitted."""
+    """The verdict of a flow, vehicle or log that differs from the model."""
     return Verdict("misfit", words, Doubt.MISFIT)
 
 
 def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[Verdict]:
-    """Doubts before a flow is searched for; free: as in `doubts_of_flow`."""
+    """Verdicts before a flow is searched for; free: as in `doubts_of_flow`."""
     phi = np.concatenate([
         own.flow_velocity(flight.vehicle)
         for own, flight in zip(prepared.parts, prepared.flights, strict=True)
     ])  # fmt: skip
     samples = len(phi)
-    if samples <= 20:  # they say nothing of their own noise
+    if samples <= 20:  # too few to estimate their noise
         yield unidentifiable(
             Doubt.FEW_SAMPLES,
             f"{samples} samples are too few for the unknowns of a flow; fly longer, or sample "
@@ -58,12 +56,19 @@ def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[
         if latency and share > DISAGREES and not (free == "auto" or "latency" in free):
             yield _too_late(_of_flight(prepared, number), latency)
         if share > DISAGREES and not latency:
+            ways, moved, _ = ways_of(flight)
+            both, alone = float(np.sum(ways * moved)), float(np.sum(moved**2))
             size = f"{100 * share:.0f} % of" if share < 10 else "more than 10 times"
-            yield unidentifiable(
-                Doubt.DISAGREEMENT,
-                f"{_of_flight(prepared, number)}the logged velocity is not that of the logged "
-                f"position: they are {size} the motion apart; check units, axes and time stamps",
+            words = (
+                f"the logged velocity is not that of the logged position: they are {size} the "
+                "motion apart; check units, axes and time stamps"
             )
+            if both > PARALLEL * math.sqrt(alone * float(np.sum(ways**2))):
+                words = (
+                    f"the logged position moves {float(f'{both / alone:.3g}'):g} times as far as "
+                    "the logged velocity says; check the units of position, velocity and time"
+                )
+            yield unidentifiable(Doubt.DISAGREEMENT, f"{_of_flight(prepared, number)}{words}")
 
 
 def doubts_of_flow(
@@ -73,17 +78,27 @@ def doubts_of_flow(
     precision: float,
     free: tuple[str, ...] | str,
 ) -> Iterator[Verdict]:
-    """Doubts about a flow that was measured.
+    """Verdicts on a flow that was measured.
 
     Args:
         prepared: the flights.
         result: the flow at the maximum of its likelihood; None where no flow was proposed.
         scales: its estimates, fastest first.
         precision: the largest half-width of an interval, as a share of the value.
-        free: what was freed by the estimator's settings, or may be ("auto").
+        free: names freed by the estimator's settings, or "auto".
     """
 
-    grid = prepared.library.grid
+    grid, drift = prepared.library.grid, np.zeros(2)
+    if result is not None:
+        drift += result.posterior.model.pattern.drift
+    places = [own.position - own.time[:, None] * drift for own in prepared.parts]
+    extent = extent_of(np.concatenate(places))
+    if extent < grid.lower:
+        yield unidentifiable(
+            Doubt.SHORT_TRACK,
+            f"the flight covers {extent:.2g} m, less than the shortest length scale of the search, "
+            f"{grid.lower:g} m; check the units, fly farther, or lower the grid's bounds",
+        )
     least = min((scale.length_scale for scale in scales), default=grid.lower)
     for number in prepared.too_fast(least):
         moved = prepared.strides[number - 1]
@@ -96,13 +111,15 @@ def doubts_of_flow(
         )
     seen = [*free, *result.freed, *(own.free for own in result.suspects)] if result else free
     for number, latency in enumerate(prepared.latencies, 1):
-        if latency and "latency" not in seen:  # the log alone tells it, whatever flow was fitted
+        if latency and "latency" not in seen:  # determined by the log alone
             yield _too_late(_of_flight(prepared, number), latency)
     if result is None or not result.detected:
+        alone = "; estimate each flight alone: frames or units may differ"
+        others = alone if len(prepared.flights) > 1 else ""
         yield unidentifiable(
             Doubt.NO_FLOW,
             f"no cellular flow detected: no waves of {grid.lower:g} to {grid.upper:g} m explain "
-            "more than chance and turbulence do, at 1000 to 1 against a false alarm",
+            f"more than chance and turbulence do, at 1000 to 1 against a false alarm{others}",
         )
         return
     posterior, goodness, best = result.posterior, result.goodness, scales[0]
@@ -122,10 +139,8 @@ def doubts_of_flow(
             f"the response time that fits best is {tau:.3g} s; fly longer, or give the response "
             "time",
         )
-    drift = np.array(posterior.model.pattern.drift)
-    places = [own.position - own.time[:, None] * drift for own in prepared.parts]
-    extent, period = extent_of(np.concatenate(places)), 2 * best.length_scale
-    if not extent < period:  # a shorter track tells no misfit from its own length
+    period = 2 * best.length_scale
+    if not extent < period:  # a shorter track determines no misfit
         if result.suspects and free != "auto":
             first = result.suspects[0]
             where = f" of flight {first.flight}" if first.flight else ""
@@ -147,7 +162,7 @@ def doubts_of_flow(
                 f"{MORE} of flight {1 + shares.index(min(shares))}: it tells another flow than the "
                 "other flights: its vehicle, frame or time may be another; leave it out"
             )
-        residual = result.proposal.residual  # of rows, which have the outliers
+        residual = result.proposal.residual  # of rows, outliers included
         if residual > 0.5 and not (goodness.r_squared > 0.9 and goodness.whiteness > 1e-3):
             yield misfit(
                 f"the fit explains only {100 * (1 - residual):.0f} % of the flow velocity: the "
@@ -181,7 +196,7 @@ def doubts_of_flow(
             f"{rival.shape!r}): the flight covers {prepared.search.extent:.3g} m, or too "
             "straight a line; fly longer, across more cells, or turn",
         )
-    for place, scale in enumerate(scales):  # every value told, those of the first to the precision
+    for place, scale in enumerate(scales):  # all values are finite, the first within precision
         widths = {
             name: (high - low) / 2 / abs(getattr(scale, name))
             for name in QUANTITIES
@@ -195,7 +210,7 @@ def doubts_of_flow(
             several = f"{', '.join(result.freed)} may stand for another cause: name what to free, "
             yield unidentifiable(
                 Doubt.IMPRECISE,
-                f"{QUANTITIES[worst]} is known only to +-{100 * widths[worst]:.0f} %; "
+                f"{QUANTITIES[worst]} is known only to +-{two_digits(100 * widths[worst])} %; "
                 f"{several if free == 'auto' and len(result.freed) > 1 else ''}"
                 "fly longer, across more cells, or ask for less (readout precision)",
             )
@@ -216,5 +231,5 @@ def _too_late(where: str, latency: float) -> Verdict:
 
 
 def _of_flight(prepared: Prepared, number: int) -> str:
-    """The words before what is said of one of several flights."""
+    """The prefix of a reason that concerns one of several flights."""
     return f"flight {number}: " if len(prepared.flights) > 1 else ""

@@ -1,8 +1,8 @@
-"""The flow at the maximum of its likelihood, from what the search proposes.
+"""The flow at the maximum of its likelihood, from the proposals of the search.
 
-Each lobe that the search proposes is a start; the likelihood decides between them by BIC, and so it
-does among shapes, causes and disturbances from there (`sparsefit.likelihood.causes`). An optimum
-whose waves have left the lobe of the proposal that they started from is not believed.
+Each lobe that the search proposes is a start; BIC of the likelihood selects among them, and among
+shapes, causes and disturbances from there (`sparsefit.likelihood.diagnosis`). An optimum whose
+waves have left the lobe of their proposal is kept only where the rows do not exclude it.
 
 Waves (k_x, k_y, a, b, omega) (j, 5) are those of psi = sum a cos(phi) + b sin(phi), phi = k.x -
 omega t; `sparsefit.model.shapes` reads cells of them. Variances are those of the waves through
@@ -43,16 +43,17 @@ from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern
 from sparsefit.likelihood.posterior import Posterior
 from sparsefit.model import Proposal
+from sparsefit.model.ladder import proposed_at
 from sparsefit.model.shapes import flows_of, read_cells
 
 WORSE = 3.0  # times the least RSS of the rows: a proposal that leaves more is not measured
 MOST = 5  # lobes that are measured
-CLOSE = 10.0  # of BIC: a rival that near could be the flow too
-NEAR = 0.5  # in pi/extent: how far an optimum's waves may be from those that were proposed
-STRAY = 0.25  # of |k|: waves that move by more beside a cause are others
-APART = 0.02  # of U0 or L: rivals that differ by less say the same
-SLIGHT = 1e-3  # of U0 or L: a cause that moves neither by more only widens their intervals
-FALSE_ALARM = 1e-3  # of a flow in a flight without one, over all lobes
+CLOSE = 10.0  # of BIC: the largest difference to a rival
+NEAR = 0.5  # in pi/extent: the largest distance of an optimum's waves from the proposed ones
+STRAY = 0.25  # of |k|: the largest move of a wave when a cause is freed
+APART = 0.02  # the least relative difference of U0 or L of a rival
+SLIGHT = 1e-3  # the largest relative change of U0 and L by a cause that is freed unasked
+FALSE_ALARM = 1e-3  # probability of a flow in a flight without one, over all lobes
 EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
 HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
 CELLS = ("length_scales", "heading")
@@ -66,12 +67,12 @@ class Measured:
     proposal: Proposal  # where it started
     proposals: tuple[Proposal, ...]  # of the search, by the BIC of its rows
     diagnosis: Diagnosis  # causes and disturbances beside it
-    posterior: Posterior  # that is answered with
-    suspects: tuple[Suspect, ...]  # the causes that are not answered with: a misfit
-    freed: tuple[str, ...]  # the names of what was freed
-    goodness: Goodness  # how well it explains the flights
-    rival: Proposal | None  # that explains them nearly as well, and says another U0 or L
-    detected: bool  # whether it explains more than chance and turbulence do
+    posterior: Posterior  # of the answer
+    suspects: tuple[Suspect, ...]  # causes that are not in the answer: a misfit
+    freed: tuple[str, ...]  # names of freedoms in the answer
+    goodness: Goodness  # of the fit
+    rival: Proposal | None  # another U0 or L of nearly the same BIC
+    detected: bool  # whether it explains more than chance and turbulence
 
     @cached_property
     def waves(self) -> Array:
@@ -131,7 +132,7 @@ class Measured:
         parts |= {"rival_length_scale": self.rival.cells.length_scale} if self.rival else {}
         parts |= {
             "scales": tuple(scales) if several or len(scales) > 1 else (),
-            "shape": pattern.shape,
+            "shape": "several" if pattern.shape == "scales" else pattern.shape,
             "flow": SuperposedFlow((flow,), (uniform[0], uniform[1])) if any(uniform) else flow,
             "goodness": self.goodness,
             "freed": self.freed,
@@ -169,14 +170,14 @@ class Measured:
 def measure_flow(
     prepared: Prepared, proposals: Sequence[Proposal], free: tuple[str, ...] | str, *, shapes: bool
 ) -> Measured | None:
-    """Measure what is proposed, best first; None where nothing is.
+    """Measure the proposed flows, best first; None if there is no proposal.
 
     Args:
         prepared: the flights.
         proposals: of the search.
-        free: names of `FREEDOMS` to be freed beside the library's unknowns; "auto": whatever is
-            found to be a cause.
-        shapes: whether freer shapes than proposed are answers.
+        free: names of `FREEDOMS` to be freed beside the library's unknowns; "auto": all causes
+            that are found.
+        shapes: whether freer shapes than proposed may be the answer.
     """
     if not proposals:
         return None
@@ -215,37 +216,64 @@ def measure_flow(
         for name in names:
             if there is not None and FREEDOMS[name].wanders:
                 there = fitted(logs, with_process(there.models, process_of(name, there)), there)
-        if there is not None and alike(there, proposal, near):
+        if there is None:
+            continue
+        if proposal.shape == "scales":  # its waves are free if BIC says so
+            free_waves = there.model.pattern.reshaped("several", pattern.drifting)
+            loose = fitted(logs, [replace(own, pattern=free_waves) for own in there.models], there)
+            there = loose if loose is not None and loose.bic < there.bic else there
+        if not alike(there, proposal, near):  # the rows may not exclude it
+            phases = there.model.pattern.waves[:, [0, 1, 4]]
+            proposal = proposed_at(prepared.search, proposal, phases) or proposal
+        if alike(there, proposal, near):
             starts.append((_loose(there), there, proposal))
     if not starts:
         return None
-    (_, first, proposal), *others = sorted(starts, key=lambda own: (own[0], own[1].bic))
-    diagnosis = Diagnosis(first, first)
-    goodness = Goodness.of(first, diagnosis)
-    white = goodness.whiteness > 1e-6 or first.exact or first.pushed
-    clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
-    excess = math.inf if clear else _excess(prepared, logs, first)
-    followed = not prepared.too_fast(first.model.pattern.length_scale)
-    if followed and (excess > -HIDDEN or goodness.r_squared > MOSTLY):
+    starts.sort(key=lambda own: (own[0], own[1].bic))
+
+    def diagnosed(first: Posterior, proposal: Proposal) -> tuple[Diagnosis, float]:
+        """The diagnosis of a start, and its excess over turbulence (`_excess`)."""
+        alone = Diagnosis(first, first)
+        goodness = Goodness.of(first, alone)
+        white = goodness.whiteness > 1e-6 or first.exact or first.pushed
+        clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
+        excess = math.inf if clear else _excess(prepared, logs, first)
+        followed = not prepared.too_fast(first.model.pattern.length_scale)
+        if not followed or not (excess > -HIDDEN or goodness.r_squared > MOSTLY):
+            return alone, excess
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
-        diagnosis = diagnose(
+        found = diagnose(
             logs, first, names, shapes=shapes, inside=lambda own: alike(own, proposal, around)
         )
+        return found, excess
+
+    (_, first, proposal), *others = starts
+    diagnosis, excess = diagnosed(first, proposal)
+    base = first
+    if diagnosis.believed.model.disturbance.processes:
+        # Waves may have fitted the gusts: all starts are compared with these in the model.
+        base = diagnosis.believed
+        beside = [(_loose(base), base, proposal)]
+        for _, white, rival in others:
+            again = fitted(logs, _disturbed_as(base, white.models), white)
+            if again is not None and alike(again, rival, near):
+                beside.append((_loose(again), again, rival))
+        best = min(beside, key=lambda each: (each[0], each[1].bic))
+        others = [each for each in beside if each is not best]
+        if best is not beside[0]:
+            _, base, proposal = best
+            first = next(white for _, white, rival in starts if rival is proposal)
+            diagnosis, excess = diagnosed(first, proposal)
     posterior, suspects = diagnosis.believed, diagnosis.suspects
     of_flow = any(own.of_flow for own in suspects)
     refitted = diagnosis.posterior is not diagnosis.believed
     slight = refitted and not of_flow and _apart(posterior, diagnosis.posterior) < SLIGHT
     if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
-    rivals, walks = list[Proposal](), diagnosis.posterior.model.disturbance.processes
-    for loose, there, rival in others:
-        near_both = min(_apart(own, there) for own in (first, diagnosis.posterior)) <= APART
-        if loose or near_both or there.bic - first.bic >= CLOSE:
-            continue
-        beside: Posterior | None = there
-        if len(walks) == 1 and not diagnosis.suspects:  # both in turbulence
-            beside = fitted(logs, with_process(there.models, walks[0]), there)
-        if beside and (beside is there or beside.bic - diagnosis.posterior.bic < CLOSE):
+    rivals = list[Proposal]()
+    for waves_alone, other, rival in others:
+        near_both = min(_apart(own, other) for own in (first, diagnosis.posterior)) <= APART
+        if not (waves_alone or near_both) and other.bic - base.bic < CLOSE:
             rivals.append(rival)
     goodness = Goodness.of(posterior, diagnosis)
     excess += 2 * (diagnosis.posterior.log_likelihood - first.log_likelihood)
@@ -257,11 +285,27 @@ def measure_flow(
     )  # fmt: skip
 
 
+def _disturbed_as(posterior: Posterior, models: Sequence[Model]) -> list[Model]:
+    """Models with the processes of a posterior, those of each log."""
+    pairs = zip(models, posterior.models, strict=True)
+    return [
+        replace(model, disturbance=replace(model.disturbance, processes=own.disturbance.processes))
+        for model, own in pairs
+    ]
+
+
 def _loose(posterior: Posterior) -> bool:
-    """Whether waves make no cells; cells come first, and the rest is turbulence."""
+    """Whether waves make no cells, or make more flows, one of which is weaker than turbulence.
+
+    Cells come first, and the rest is turbulence.
+    """
     waves = posterior.model.pattern.waves
     parts = flows_of(waves[:, :2], waves[:, 2:4])
-    return len(waves) % 2 == 1 or (len(waves) == 4 and len(parts) == 1)
+    squares = np.sum(waves[:, :2] ** 2, axis=1) * np.sum(waves[:, 2:4] ** 2, axis=1)
+    weakest = 0.25 * min(float(squares[part].sum()) for part in parts)  # of a component
+    gusts = posterior.model.disturbance.levels.get("turbulence", 0.0) ** 2
+    several = len(waves) == 4 and (len(parts) == 1 or weakest < gusts)
+    return len(waves) % 2 == 1 or several
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
@@ -282,12 +326,12 @@ def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
 
 
 def alike(posterior: Posterior, proposal: Proposal, near: float) -> bool:
-    """Whether an optimum is still in the lobe of its proposal."""
+    """Whether the waves of an optimum are in the lobe of a proposal."""
     return _near(posterior.model.pattern.waves[:, :2], proposal.wavevectors, near)
 
 
 def _near(waves: Array, others: Array, near: float) -> bool:
-    """Whether every wave (j, 2) has one of as many others nearby, of either sign."""
+    """Whether waves (j, 2) and others of equal number pair up within a distance, up to sign."""
     if len(waves) != len(others):
         return False
     apart = np.minimum(*(np.linalg.norm(waves[:, None] + s * others, axis=2) for s in (-1, 1)))
@@ -300,7 +344,7 @@ def _apart(posterior: Posterior, other: Posterior) -> float:
 
 
 def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> float:
-    """2 ln(likelihood ratio) of a flow against turbulence of its size, less that by chance."""
+    """2 ln(likelihood ratio) of a flow over turbulence alone, less its threshold by chance."""
     pattern = posterior.model.pattern
     speed, length = pattern.mean_velocity, pattern.length_scale
     still = StreamPattern("axis", (1e-6 * speed, length, 0.0, 0.0), origin=pattern.origin)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from sparsefit.arrays import Brief
+from sparsefit.arrays import Array, Brief
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, told_with
 from sparsefit.flight import Flight
@@ -20,10 +20,10 @@ from sparsefit.model import Library, Search, flight_weights
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative, Samples
 
-FEWEST = 20  # rows of each of several flights: fewer do not tell the flight's own noise
-RESOLVED = 3.0  # samples per length scale: fewer, and no polynomial follows the flow between them
-EVIDENT = 0.02  # of the motion: a latency is looked for in what is further apart
-MENDED = 0.1  # of how far they are apart, that a latency may leave
+FEWEST = 20  # rows of each of several flights, to estimate its noise
+RESOLVED = 3.0  # least samples per length scale that resolve the flow
+EVIDENT = 0.02  # least relative difference of displacements at which a latency is searched for
+MENDED = 0.1  # the largest share of that difference which a latency may leave
 
 Result = TypeVar("Result")
 
@@ -42,7 +42,7 @@ class Prepared(Brief):
 
     @property
     def vehicles(self) -> list[PointMassVehicle]:
-        """The vehicles as they are believed to be."""
+        """The vehicles of the flights."""
         return [flight.vehicle for flight in self.flights]
 
     @cached_property
@@ -52,12 +52,12 @@ class Prepared(Brief):
 
     @cached_property
     def latencies(self) -> list[float]:
-        """The latency [s] of each flight that its log alone tells; 0: none."""
+        """The latency [s] of each flight as its log alone shows it; 0: none."""
         return [latency_of(flight) for flight in self.flights]
 
     @cached_property
     def strides(self) -> list[float]:
-        """The way [m] of each flight from sample to sample."""
+        """The typical distance [m] between samples of each flight."""
         speeds = [math.sqrt(float(np.mean(np.sum(own.velocity**2, axis=1)))) for own in self.parts]
         steps = [float(np.median(np.diff(own.time))) for own in self.parts]
         return [speed * step for speed, step in zip(speeds, steps, strict=True)]
@@ -68,14 +68,14 @@ class Prepared(Brief):
         return [number for number, way in ways if way * RESOLVED > length and way > least]
 
     def once(self, key: object, work: Callable[[], Result]) -> Result:
-        """Return the work's result, computed once for all back-ends that come to the same key."""
+        """The result of `work`, computed once for each key."""
         if key not in self._answers:
             self._answers[key] = work()
         return cast(Result, self._answers[key])
 
 
 def latency_of(flight: Flight) -> float:
-    """The time [s] by which positions are older than velocities, where it mends how both differ."""
+    """The time [s] by which positions lag velocities, if it removes their difference; else 0."""
     if not (flight.velocity_measured and apart(flight) > EVIDENT):
         return 0.0
     farthest = 0.1 * float(np.ptp(flight.time))
@@ -86,10 +86,20 @@ def latency_of(flight: Flight) -> float:
 
 
 def apart(flight: Flight, latency: float = 0.0, noises: float = 5.0) -> float:
-    """The rms of the way less the integral of the velocity, as a share of the way.
+    """The relative rms difference of displacements by position and by velocity (`ways_of`).
 
-    Ways are those over a 32nd of the log each. latency: by which positions are older than the
-    velocities [s]; noises: deviations of the noise of the readings that are taken off.
+    noises: standard deviations of the readings' noise by which it is reduced.
+    """
+    ways, moved, noise = ways_of(flight, latency)
+    rms = math.sqrt(float(np.mean((ways - moved) ** 2)))
+    return max(rms - noises * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
+
+
+def ways_of(flight: Flight, latency: float = 0.0) -> tuple[Array, Array, float]:
+    """Displacements (s, 2) [m] over 32nds of the log, by position and by integrated velocity.
+
+    The third value is the standard deviation [m] of their difference by the noise of the readings.
+    latency: by which positions lag the velocities [s].
     """
     steps = np.diff(flight.time)[:, None]
     half = 0.5 * (flight.velocity[1:] + flight.velocity[:-1]) * steps
@@ -98,11 +108,9 @@ def apart(flight: Flight, latency: float = 0.0, noises: float = 5.0) -> float:
     times = flight.time[ends] - latency
     ends = ends[(times >= flight.time[0]) & (times <= flight.time[-1])]
     summed = [np.interp(flight.time[ends] - latency, flight.time, each) for each in integral.T]
-    ways, moved = np.diff(flight.position[ends], axis=0), np.diff(summed, axis=1).T
-    rms = math.sqrt(float(np.mean((ways - moved) ** 2)))
     drawn = float(np.mean(steps)) * math.sqrt(len(flight.time) / len(ends))
     noise = math.hypot(noise_of(flight.position), drawn * noise_of(flight.velocity))
-    return max(rms - noises * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
+    return np.diff(flight.position[ends], axis=0), np.diff(summed, axis=1).T, noise
 
 
 def prepare(
@@ -125,7 +133,7 @@ def prepare(
             own = derivative(flight)
             if len(flights) > 1 and len(own.time) <= FEWEST:
                 raise InputError(
-                    f"{len(own.time)} rows are too few to tell its noise beside other "
+                    f"{len(own.time)} rows are too few to estimate its noise beside other "
                     f"flights (at least {FEWEST + 1}); leave it out, or sample faster"
                 )
             parts.append(own)

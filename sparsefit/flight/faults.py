@@ -1,7 +1,7 @@
-"""Faults of a log: positions that wander or jump, velocities far off, samples missing.
+"""Simulated faults of a log: wandering or jumping positions, outliers of velocity, lost samples.
 
-Wander is the first-order autoregression e_{i+1} = rho e_i + sqrt(1 - rho^2) sigma n_i with
-rho = exp(-dt/T), as of a satellite receiver.
+Wander is a first-order Gauss-Markov process, e_{i+1} = rho e_i + sqrt(1 - rho^2) sigma n_i with
+rho = exp(-dt/T), a model of the position error of a satellite receiver.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from sparsefit.flight.record import Flight, streams
 
 @dataclass(frozen=True)
 class LogFaults:
-    """Faults that a log is given, by default none.
+    """The faults added to a log; by default none.
 
     Args:
-        wander: rms of each coordinate of a position error that wanders [m].
+        wander: rms of the Gauss-Markov error of each position coordinate [m].
         wander_time: its correlation time [s], > 0.
-        outliers: the share of samples with a velocity far off, in [0, 1].
-        outlier_size: by how much [m/s], in a random direction.
-        jumps: how often the position jumps, for good.
-        jump_size: by how much [m], in a random direction.
-        gaps: how many gaps there are; two may overlap.
-        gap_duration: the longest they may be [s]; each is drawn uniformly from 0 to it.
-        lost_samples: the share of samples that are lost, each by itself, in [0, 1].
+        outliers: the share of samples whose velocity is an outlier, in [0, 1].
+        outlier_size: its error [m/s], in a random direction.
+        jumps: the number of permanent steps of the position.
+        jump_size: their length [m], in a random direction.
+        gaps: the number of gaps; two may overlap.
+        gap_duration: their largest duration [s]; each is drawn uniformly from 0 to it.
+        lost_samples: the share of samples lost independently of each other, in [0, 1].
 
     Raises:
         InputError: if one of them is not in its range.
@@ -55,12 +55,11 @@ class LogFaults:
         for name in ("outliers", "lost_samples"):
             number_setting("faults", name, getattr(self, name), low=0.0, high=1.0)
 
-    def spoil(self, flight: Flight, seed: np.random.SeedSequence) -> Flight:
-        """Return the log of a flight with these faults; each fault has a stream of its own.
+    def spoil(self, flight: Flight, seed: int | np.random.SeedSequence) -> Flight:
+        """Return the flight with these faults in its log; each fault has its own random stream.
 
         Raises:
-            InputError: if fewer than three samples are left, or there are more gaps or jumps than
-                samples.
+            InputError: if fewer than three samples remain, or gaps or jumps exceed the samples.
         """
         for name, count in (("jumps", self.jumps), ("gaps", self.gaps)):
             if count > flight.samples:
@@ -86,6 +85,6 @@ class LogFaults:
 
 
 def _directions(count: int, stream: np.random.Generator) -> Array:
-    """Random directions, (count, 2), of length 1."""
+    """Random unit vectors, (count, 2)."""
     turn = stream.uniform(0.0, 2.0 * math.pi, count)
     return np.stack([np.cos(turn), np.sin(turn)], axis=1)

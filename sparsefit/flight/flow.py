@@ -1,11 +1,11 @@
-"""The flows a vehicle flies through: the paper's cells (Eqs. 1-2), cells of any shape, and sums.
+"""Flows: the paper's cells (Eqs. 1-2), cells of any shape, and sums of flows.
 
 Cells are two waves of equal energy,
 
     psi = A sin(p . xi) sin(q . xi) (1 + s sin(2 pi t/T + phase)),    xi = x - x0 - c t
 
-p and q stand on the two families of walls between the cells: |p| = pi/L_x, |q| = pi/L_y, q turned
-from p by ``angle``. As waves, k = p - q and k = p + q with the amplitudes A/2 and -A/2.
+p and q are normal to the two families of walls between the cells: |p| = pi/L_x, |q| = pi/L_y, at
+the angle ``angle`` to each other. As waves, k = p - q and k = p + q have the amplitudes +-A/2.
 """
 
 from __future__ import annotations
@@ -24,12 +24,8 @@ from sparsefit.flight.waves import Flow, Formula, WaveFlow
 class Cells(Flow):
     """Base of the flows that are an array of cells."""
 
-    length_scale: float
-    """sqrt(2) pi / sqrt(mean |k|^2) [m] of the two waves: L of square cells."""
-
-    length_scales: tuple[float, float]
-    """(L_x, L_y) [m], the distances between the walls of a cell."""
-
+    length_scale: float  #: sqrt(2) pi / sqrt(mean |k|^2) [m] of the two waves: L of square cells
+    length_scales: tuple[float, float]  #: (L_x, L_y) [m], the distances between a cell's walls
     heading: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
 
@@ -87,19 +83,19 @@ class CellularFlow(Cells):
 
 @dataclass(frozen=True)
 class ShapedCells(Cells):
-    """Cells that may be turned, stretched or skewed, off the origin, drifting and swelling.
+    """Cells at any heading, stretched or skewed, with an offset, a drift and a periodic swell.
 
     Args:
         mean_velocity: U0 = sqrt(2 <|w|^2>) [m/s] without swell, > 0.
         length_scales: (L_x, L_y) [m], the distances between the walls of a cell along its own
             axes, > 0; one number: square cells.
-        heading: by which the cells are turned counter-clockwise [rad]: rectangles so that L_x is
-            along (cos, sin) of it, cells of any shape so that it halves the angle of their waves.
+        heading: of the cells, counter-clockwise [rad]: the direction of L_x of rectangles, of any
+            shape the bisector of its two wavevectors.
         angle: between the two families of walls [rad], in (0, pi); pi/2: rectangles; else cells
             with L_x = L_y are rhombs.
-        offset: where a corner of the cells is at t = 0 [m], (x, y).
-        drift: the velocity at which the pattern moves [m/s], (x, y).
-        swell: s, the share of U0 by which it swells and ebbs, in [0, 1).
+        offset: the position of a corner of the cells at t = 0 [m], (x, y).
+        drift: the velocity of the pattern [m/s], (x, y).
+        swell: s, the relative amplitude of the oscillation of U0, in [0, 1).
         swell_period: T [s], > 0.
         swell_phase: [rad].
 
@@ -139,15 +135,12 @@ class ShapedCells(Cells):
     @cached_property
     def waves(self) -> WaveFlow:
         """The two waves of the cells, without their swell."""
-        (p_size, q_size), half = math.pi / np.array(self.length_scales), 0.5 * self.angle
-        p = p_size * np.array([math.cos(-half), math.sin(-half)])
-        q = q_size * np.array([math.cos(half), math.sin(half)])
-        bisector = np.mean([math.atan2(*wave[::-1]) for wave in (p - q, p + q)])
-        turn = self.heading - float(bisector)
-        cos, sin = math.cos(turn), math.sin(turn)
-        p, q = (np.array([cos * x - sin * y, sin * x + cos * y]) for x, y in (p, q))
-        wavevectors = np.stack([p - q, p + q])
-        amplitude = self.mean_velocity / math.sqrt(2.0 * float(p @ p + q @ q))
+        half = np.exp(0.5j * self.angle)  # vectors are x + i y
+        p, q = np.pi / np.array(self.length_scales) * [half.conjugate(), half]
+        waves = np.array([p - q, p + q])
+        waves *= np.exp(1j * (self.heading - np.angle(waves).mean()))
+        wavevectors = np.column_stack([waves.real, waves.imag])
+        amplitude = self.mean_velocity / math.sqrt(2.0 * (abs(p) ** 2 + abs(q) ** 2))
         shift = wavevectors @ np.array(self.offset)
         signed = np.array([amplitude, -amplitude])
         return WaveFlow(
@@ -171,14 +164,14 @@ class ShapedCells(Cells):
 
 @dataclass(frozen=True)
 class SuperposedFlow(Flow):
-    """The sum of several flows, eddies within eddies or among random waves, and of a steady wind.
+    """The sum of several flows, such as cells of two length scales, and of a wind.
 
     Args:
-        components: the flows; none are needed where there is a wind.
-        wind: a steady wind beside them [m/s], (x, y); it carries the vehicle, and no pattern.
+        components: the flows; may be empty if there is a wind.
+        wind: a steady uniform wind [m/s], (x, y); it carries the vehicle, not the patterns.
 
     Raises:
-        InputError: if there is neither, a component is no flow or the wind not two numbers.
+        InputError: if both are empty, a component is no flow or the wind not two numbers.
     """
 
     components: tuple[Flow, ...]

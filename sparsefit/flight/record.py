@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, Brief, frozen
-from sparsefit.errors import InputError, one_of, store
+from sparsefit.errors import InputError, integer, one_of, store
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import FlowField, check_flow
 
@@ -26,7 +26,7 @@ LARGEST = 1e12  # [s], [m] or [m/s]: squares are within the range of four bytes
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Flight(Brief):
-    """The log of a vehicle: time, position and velocity on the same samples.
+    """The log of one flight: time, position and velocity at the same samples.
 
     The arrays are stored as read-only float64 copies. Rows count from 0 in every message.
 
@@ -35,13 +35,13 @@ class Flight(Brief):
         position: (x, y) [m], shape (m, 2).
         velocity: (vx, vy) [m/s], shape (m, 2).
         vehicle: the vehicle that flew.
-        flow: the true flow where it is known, also any object with ``velocity(x, y, t)``; no
-            estimate ever reads it.
-        velocity_measured: whether the velocity was logged, or is only that of the position.
-        thrust: measured thrust acceleration m [m/s^2], shape (m, 2), in the axes of the position;
-            None where it is the vehicle's constant alone.
-        frame: the axes: ``ENU`` (east, north), ``NED`` (north, east) or empty where the log does
-            not say. Nothing is turned: results are in the same axes.
+        flow: the true flow if it is known, or any object with ``velocity(x, y, t)``; used for
+            scoring only, never by an estimate.
+        velocity_measured: whether the velocity was logged, or is the derivative of the position.
+        thrust: measured thrust acceleration [m/s^2], shape (m, 2), in the axes of the position;
+            None if the vehicle's constant thrust is the only one.
+        frame: the axes: ``ENU`` (east, north), ``NED`` (north, east) or empty if unknown. Results
+            are in the same axes.
 
     Raises:
         InputError: naming the field and row, if the shapes differ, a value is not finite or
@@ -63,7 +63,7 @@ class Flight(Brief):
     ) -> Flight:
         """Return a flight whose log has positions only; the arguments are those of the class.
 
-        The velocity is the difference quotient of the position; no estimate reads it.
+        Its velocity is the difference quotient of the position, which no estimate uses.
         """
         return cls(time, position, position, vehicle, velocity_measured=False, **others)
 
@@ -105,11 +105,14 @@ class Flight(Brief):
         check_flow(self.flow)
 
     def rows(self, chosen: BoolArray) -> Flight:
-        """Return the samples (m,) that are chosen, as a flight.
+        """Return the flight of the samples where chosen, a mask (m,), is true.
 
         Raises:
-            InputError: if they are fewer than three.
+            InputError: if fewer than three remain.
         """
+        if (n := int(chosen.sum())) < MINIMUM_SAMPLES:
+            span = f"the {self.samples} from t={self.time[0]:.10g} to {self.time[-1]:.10g} s"
+            raise InputError(f"a flight needs at least {MINIMUM_SAMPLES} samples: {n} of {span}")
         own = {name: getattr(self, name) for name in ("time", "position", "velocity", "thrust")}
         part = {name: rows[chosen] for name, rows in own.items() if rows is not None}
         return self if chosen.all() else replace(self, **part)
@@ -130,8 +133,10 @@ class Flight(Brief):
         return float(np.ptp(self.position, axis=0).max())
 
 
-def streams(seed: np.random.SeedSequence, count: int) -> Iterator[np.random.Generator]:
+def streams(seed: int | np.random.SeedSequence, count: int) -> Iterator[np.random.Generator]:
     """Yield the independent streams of ``seed.spawn(count)``, and leave the seed as it was."""
+    if not isinstance(seed, np.random.SeedSequence):
+        seed = np.random.SeedSequence(integer("seed", seed, 0))
     for child in range(count):
         key = (*seed.spawn_key, child)
         yield np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))

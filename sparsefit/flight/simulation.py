@@ -19,7 +19,7 @@ from sparsefit.flight.vehicle import PointMassVehicle, ThrustSeries
 from sparsefit.flight.waves import Flow, FlowField, check_flow
 
 EVALUATIONS = (10_000_000, 2_000)  # of the right-hand side: in all, and more for each sample
-BURST = 1_000_000  # of them beyond the share of the time: who needs too many is refused early
+BURST = 1_000_000  # allowed in advance of that pace: a stiff equation is refused early
 
 
 def simulate_flight(
@@ -39,30 +39,29 @@ def simulate_flight(
     thrust: ThrustSeries | None = None,
     thrust_noise: float = 0.0,
 ) -> Flight:
-    """Fly ``vehicle`` through ``flow`` and return what it logs, at t = 0, 1/rate, 2/rate, ...
+    """Simulate ``vehicle`` in ``flow`` and return its log at t = 0, 1/rate, 2/rate, ...
 
     Six independent streams come from ``seed``: initial position, process noise, position noise,
-    velocity noise, time jitter, thrust noise. Flights that differ in a noise level only therefore
-    share one draw.
+    velocity noise, time jitter, thrust noise. Flights that differ only in a noise level therefore
+    share their random numbers.
 
     Args:
-        flow: the true flow, or any object with ``velocity(x, y, t)``; kept in the flight for
-            scoring. None: still air.
+        flow: the true flow, or any object whose ``velocity(x, y, t)`` returns (u, v) [m/s]; kept in
+            the flight for scoring. None: still air.
         vehicle: the vehicle.
         duration: [s]; the flight has round(duration * sample_rate) + 1 samples.
         sample_rate: [Hz].
         seed: a non-negative integer or a seed sequence, which is left as it was.
         initial_position: [m]; by default uniform over one period of the flow, [0, 2L)^2 of the
-            largest cells, where there are none the origin.
+            largest cells, or the origin if the flow has no period.
         initial_velocity: [m/s].
-        process_noise: standard deviation [m/s^2] of the noise on v' (Eq. 7), averaged over one
-            sample interval; white within it.
+        process_noise: standard deviation [m/s^2] of white noise on v' (Eq. 7), over one interval.
         position_noise: standard deviation [m] of the measured position.
         velocity_noise: standard deviation [m/s] of the measured velocity.
         substeps: random kicks per sample interval; used only with process noise.
-        time_jitter: in [0, 0.49]: by which share of 1/rate a sample is taken early or late at most,
-            uniformly; the time that is logged is the one at which it was taken.
-        thrust: flown beside the vehicle's constant, and logged; its times cover the flight.
+        time_jitter: in [0, 0.49], the largest shift of a sample as a share of 1/rate, uniform; the
+            logged time is the shifted one.
+        thrust: added to the vehicle's constant thrust, and logged; its times cover the flight.
         thrust_noise: standard deviation [m/s^2] of the logged thrust.
 
     Returns:
@@ -74,8 +73,10 @@ def simulate_flight(
     check_flow(flow)
     if not isinstance(vehicle, PointMassVehicle):
         raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
-    if not isinstance(seed, np.random.SeedSequence):
-        seed = np.random.SeedSequence(integer("seed", seed, 0))
+    if not (thrust is None or isinstance(thrust, ThrustSeries)):
+        raise InputError(
+            f"thrust must be a ThrustSeries(time, acceleration); got a {type(thrust).__name__}"
+        )
     starts, process, places, speeds, clock, pushes = streams(seed, 6)
     span, rate = positive("duration", duration, "s"), positive("sample_rate", sample_rate, "Hz")
     if not MINIMUM_SAMPLES - 1.5 <= span * rate <= MOST_SAMPLES:
@@ -91,22 +92,25 @@ def simulate_flight(
         initial_position = starts.uniform(0.0, period, 2) if period else (0.0, 0.0)
     place = pair("initial_position", initial_position, "m")
     state = (*place, *pair("initial_velocity", initial_velocity, "m/s"))
-    levels = (
-        ("process_noise", process_noise, "m/s^2"),
-        ("thrust_noise", thrust_noise, "m/s^2"),
-        ("position_noise", position_noise, "m"),
-        ("velocity_noise", velocity_noise, "m/s"),
-    )
-    kick, push, blur, jitter = (non_negative(*level) for level in levels)
+    kick = non_negative("process_noise", process_noise, "m/s^2")
+    push = non_negative("thrust_noise", thrust_noise, "m/s^2")
+    blur = non_negative("position_noise", position_noise, "m")
+    jitter = non_negative("velocity_noise", velocity_noise, "m/s")
     kicks = _kicks(kick, time, integer("substeps", substeps, 1), process)
-    logged = None if thrust is None else thrust.at(time)
+    error = push * pushes.standard_normal((len(time), 2))
+    logged = None if thrust is None else thrust.at(time) + error
     speed = float(getattr(flow, "mean_velocity", math.nan))
     fastest = vehicle.rate + 2.0 * math.pi * speed / period if period else math.nan
     stride = 0.25 / fastest if fastest > 0 else 0.0  # that long DOP853 keeps to the tolerance
     pace = (EVALUATIONS[0] + EVALUATIONS[1] * len(time)) / float(time[-1])
-    states = _integrate(_right_hand_side(flow, vehicle, thrust, pace), state, time, kicks, stride)
-    if logged is not None:
-        logged = logged + push * pushes.standard_normal(logged.shape)
+    motion = _right_hand_side(flow, vehicle, thrust, pace, failures := list[Exception]())
+    try:
+        states = _integrate(motion, state, time, kicks, stride)
+    except InputError:
+        if not failures or isinstance(flow, Flow):
+            raise
+        words = "flow.velocity(x, y, t) must return two finite numbers, (u, v) [m/s]"
+        raise InputError(f"{words}: {failures[0]!r}") from failures[0]
     return Flight(
         time=time,
         position=states[:, :2] + blur * places.standard_normal((len(time), 2)),
@@ -120,9 +124,8 @@ def simulate_flight(
 def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator) -> Array:
     """Return the velocity increments [m/s] of the process noise, (intervals, substeps, 2).
 
-    They sum to N(0, (level * dt)^2) over an interval dt, so the mean derivative noise has
-    standard deviation ``level``; their power is that of the mean interval where times jitter.
-    Without noise: one substep that is not kicked.
+    They sum to N(0, (level * dt)^2) over an interval dt, so that the mean noise of v' has the
+    standard deviation ``level``; with jitter dt is the mean interval. Without noise: zeros.
     """
     if level == 0.0:
         return np.zeros((len(time) - 1, 1, 2))
@@ -135,13 +138,17 @@ def _kicks(level: float, time: Array, substeps: int, stream: np.random.Generator
 
 
 def _right_hand_side(
-    flow: FlowField | None, vehicle: PointMassVehicle, thrust: ThrustSeries | None, pace: float
+    flow: FlowField | None,
+    vehicle: PointMassVehicle,
+    thrust: ThrustSeries | None,
+    pace: float,
+    failures: list[Exception],
 ) -> Callable[[float, Array], list[float]]:
     """Return f(t, (x, y, vx, vy)) of Eq. 14, on plain floats: numpy scalars cost ten times more.
 
-    The compiled integrator calls it: it raises nothing. It is NaN where a step has left all
-    places, which `math.sin` refuses, and after more evaluations than ``pace`` [1/s] and `BURST`
-    allow; `_integrate` sees both.
+    The compiled integrator calls it, so it raises nothing: it returns NaN, which `_integrate`
+    refuses, where the flow raises or is not finite (failures gets the exception), and after more
+    evaluations than ``pace`` [1/s] and `BURST` allow.
     """
 
     flow_at: Any = getattr(flow, "velocity", lambda _x, _y, _t: (0.0, 0.0))
@@ -157,11 +164,12 @@ def _right_hand_side(
         x, y, vx, vy = state.tolist()
         try:
             wx, wy = flow_at(x, y, t) if count <= BURST + pace * t else (math.nan, math.nan)
-        except (ValueError, OverflowError):
-            wx = wy = math.nan
-        mx, my = push(t) if push else (0.0, 0.0)
-        own = rate + quadratic * math.hypot(wx - vx, wy - vy) if quadratic else rate
-        return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
+            mx, my = push(t) if push else (0.0, 0.0)
+            own = rate + quadratic * math.hypot(wx - vx, wy - vy) if quadratic else rate
+            return [vx, vy, (wx - vx) * own + ax + scale * mx, (wy - vy) * own + ay + scale * my]
+        except Exception as error:  # of a flow that the caller wrote, or `math.sin` of infinity
+            failures.append(error)
+            return [math.nan] * 4
 
     return derivative
 
@@ -176,9 +184,8 @@ def _integrate(
     """Return the states (m, 4) at ``time``; every sample is the end of a step.
 
     Strang splitting: half a kick, the exact motion over one substep, the other half. The motion
-    stays exact however small the noise; the error of Euler-Maruyama would drown it. A first step
-    of stride [s], or to the end of a substep, spares the integrator's own small guess, which it
-    makes where stride is 0.
+    is exact for any noise, unlike that of Euler-Maruyama. The first step is stride [s], at most a
+    substep; 0: the integrator's own guess, which is small.
 
     Raises:
         InputError: where the integrator does not get to the end of a substep.
@@ -210,7 +217,7 @@ def _integrate(
                     raise InputError(
                         f"the equation of motion cannot be integrated past t={time[row]:.6g} s: it "
                         "is too stiff or too fast; raise response_time or sample_rate, or lower "
-                        "mean_velocity"
+                        "mean_velocity (or the flow is not finite there)"
                     )
                 kick(half)
             states[row + 1] = solver.y

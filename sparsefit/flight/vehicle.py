@@ -3,8 +3,8 @@
     v' = F(w - v) + a,    F(r) = (1/tau + c |r|) r,    a = a_0 + s m(t)
 
 With c = 0 this is the paper's. Solved for the flow, Phi = v + r with F(r) = f = v' - a: r points
-along f, and its length is the root of c |r|^2 + |r|/tau = |f|. a_0 is the constant thrust; m(t) the
-thrust that the flight has measured, if any, a_0 then its constant error and s its scale.
+along f, and its length is the root of c |r|^2 + |r|/tau = |f|. a_0 is the constant thrust and m(t)
+the measured thrust of the flight, if any; a_0 is then its constant error and s its scale.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class PointMassVehicle:
     Args:
         response_time: tau = m / (3 pi L mu) [s] (Eq. 11), > 0; ``math.inf`` for drag that is
             quadratic only.
-        thrust_acceleration: a = T/m [m/s^2], (x, y); beside a measured series (`Flight.thrust`)
-            what is added to it.
+        thrust_acceleration: a = T/m [m/s^2], (x, y); added to a measured series (`Flight.thrust`)
+            if there is one.
         drag: c [1/m], >= 0, of quadratic drag: rho C_D A / (2 m). 0: the paper's linear drag.
-        thrust_scale: s, by which a measured series is multiplied.
+        thrust_scale: s, the factor of a measured series.
 
     Raises:
         InputError: if tau is not a number above 0 (infinite only with drag), a is not two finite
@@ -83,7 +83,7 @@ class PointMassVehicle:
         Args:
             velocity: v [m/s], shape (..., 2).
             acceleration: v' [m/s^2], shape (..., 2).
-            thrust: m [m/s^2], shape (..., 2), where it was measured.
+            thrust: m [m/s^2], shape (..., 2), if it was measured.
         """
         force = np.asarray(acceleration, np.float64) - self.thrust(thrust)
         if self.drag:
@@ -97,7 +97,7 @@ class PointMassVehicle:
 
 @dataclass(frozen=True, eq=False)
 class ThrustSeries:
-    """A thrust acceleration by the flight's clock and axes, a straight line between samples.
+    """A thrust acceleration over the flight's time in its axes, interpolated linearly.
 
     Args:
         time: t [s], (k,), strictly increasing, k >= 2.
@@ -121,7 +121,7 @@ class ThrustSeries:
         """The acceleration [m/s^2] at times (m,) [s], (m, 2).
 
         Raises:
-            InputError: for a time that the series does not cover.
+            InputError: for a time outside the series.
         """
         sought = frozen("time", time, ("m",))
         first, last = float(self.time[0]), float(self.time[-1])
@@ -134,7 +134,7 @@ class ThrustSeries:
         return np.column_stack([np.interp(sought, self.time, axis) for axis in self.acceleration.T])
 
     def pointwise(self) -> Callable[[float], tuple[float, float]]:
-        """The acceleration at one time on plain floats; the ends hold beyond them."""
+        """Return the acceleration at one time, on plain floats; constant beyond the ends."""
         times, rows = self.time.tolist(), self.acceleration.tolist()
 
         def at(t: float) -> tuple[float, float]:
@@ -149,9 +149,10 @@ class ThrustSeries:
 def turning(
     time: Array, constant: tuple[float, float], size: float, period: float, phase: float
 ) -> ThrustSeries:
-    """A constant thrust (x, y) and one beside it that turns counter-clockwise, both [m/s^2].
+    """A constant thrust (x, y) plus one that rotates counter-clockwise, both [m/s^2].
 
-    At times [s], (k,); it points to ``phase`` [rad] at t = 0, and again after every ``period`` [s].
+    At times [s], (k,); the rotating one has the heading ``phase`` [rad] at t = 0 and its ``period``
+    [s].
     """
     turned = 2.0 * np.pi * time / period + phase
     circle = np.stack([np.cos(turned), np.sin(turned)], axis=1)

@@ -6,8 +6,8 @@
 A flow of a stream function has no divergence, whatever its waves. A pattern that moves with the
 velocity c has omega_j = k_j . c.
 
-Isotropic turbulence in the plane is a sum of random waves with the spectral density of the stream
-function S(k) ~ (a^2 + |k|^2)^-p, so that the longitudinal velocity has, along any line, the
+Isotropic turbulence in the plane is a sum of random waves whose stream function has the spectral
+density S(k) ~ (a^2 + |k|^2)^-p, so that the longitudinal velocity has, along any line, the
 spectrum ~ (a^2 + k1^2)^-(p - 3/2):
 
     Dryden         p = 5/2, a = 1/L             1 / (1 + (L k1)^2)
@@ -15,8 +15,9 @@ spectrum ~ (a^2 + k1^2)^-(p - 3/2):
 
 with L the integral length. Of the energy, a share 1 - (p-1) c^(p-2) + (p-2) c^(p-1) lies below
 |k|, c = a^2/(a^2 + k^2). Every band of wavenumbers gets two waves, at right angles, with its
-energy (Kraichnan, 1970, Phys. Fluids 13, 22). Where it evolves, every wave has a frequency of its
-own, normal, so that a velocity forgets itself as exp(-pi/4 (t/T)^2), of integral T.
+energy (Kraichnan, 1970, Phys. Fluids 13, 22). If the field evolves, every wave has its own normally
+distributed frequency: the velocity at a place has the correlation exp(-pi/4 (t/T)^2), of integral
+T.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, frozen
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, integer, one_of, positive, store
+from sparsefit.errors import InputError, integer, one_of, positive, shown, store
 
 Formula: TypeAlias = Callable[[Any, Any, Any], tuple[Any, Any]]
 SPECTRA = {  # the power p of a spectrum, and a times the integral length
@@ -54,19 +55,18 @@ def check_flow(flow: object) -> None:
     if flow is not None and not callable(getattr(flow, "velocity", None)):
         raise InputError(
             "flow must be one of CellularFlow, ShapedCells, WaveFlow, Turbulence, SuperposedFlow, "
-            f"None, or an object with velocity(x, y, t); got {flow!r}"
+            f"None, or an object with velocity(x, y, t); got {shown(flow)}"
         )
 
 
 class Flow(ABC):
     """Base of the flows of this package: waves of a stream function, and the cells among them."""
 
-    mean_velocity: float
-    """U0 = sqrt(2 <|w|^2>) [m/s] of waves with different wavevectors."""
+    mean_velocity: float  #: U0 = sqrt(2 <|w|^2>) [m/s] of waves with different wavevectors
 
     @property
     def cells(self) -> tuple[Any, ...]:
-        """The parts of the flow that an estimator seeks."""
+        """The components that are cells."""
         return ()
 
     @property
@@ -84,11 +84,7 @@ class Flow(ABC):
 
     @abstractmethod
     def formula(self, functions: Any) -> Formula:
-        """Return w(x, y, t) [m/s] as a function of floats or arrays.
-
-        Args:
-            functions: where it has its sines from: `math` for floats, `numpy` for arrays.
-        """
+        """Return w(x, y, t) [m/s] by the sines of `math`, of floats, or `numpy`, of arrays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,16 +159,15 @@ class WaveFlow(Flow):
 
 @dataclass(frozen=True)
 class Turbulence(Flow):
-    """One field of random, divergence-free, isotropic turbulence in the plane.
+    """A realisation of random, divergence-free, isotropic turbulence in the plane.
 
-    The waves are drawn from ``seed``: the same record is the same field. Waves shorter than
-    length/16 are left out, and their energy is given to the others.
+    The waves are drawn from ``seed``: equal records are equal fields. Waves shorter than length/16
+    are left out; the others carry their energy.
 
     Args:
         intensity: rms [m/s] of each velocity component, over the plane, > 0.
         length: the longitudinal integral length [m], > 0.
-        memory: the integral time [s] for which the velocity at a place remembers itself, > 0;
-            None: frozen.
+        memory: the integral time scale [s] of the velocity at a place, > 0; None: frozen.
         spectrum: ``dryden`` or ``von-karman``.
         seed: a non-negative integer.
 

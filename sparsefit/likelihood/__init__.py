@@ -1,4 +1,4 @@
-"""One likelihood of the raw log: the model, its smoother, and what a log says of it."""
+"""State-space likelihood of a raw log: model, iterated smoother, posterior and diagnosis."""
 
 from sparsefit.likelihood.model import Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog

@@ -1,4 +1,4 @@
-"""Causes of a misfit: what a model may leave unsaid of vehicle, air, instruments and flow."""
+"""Causes of a misfit: departures of vehicle, air, instruments and flow from their model."""
 
 from __future__ import annotations
 
@@ -10,54 +10,54 @@ from sparsefit.likelihood.reference import ELEMENTS
 
 @dataclass(frozen=True)
 class Cause:
-    """A departure from the model that is believed."""
+    """A departure from the assumed model."""
 
     name: str  # in reports
-    elements: tuple[str, ...]  # of the model that are freed, or that wander about their values
-    words: str = ""  # a template for `Suspect.words`; empty: it is freed only if asked for
-    wanders: bool = False  # whether the elements are states, and not constants
-    answered: bool = False  # whether a flow is answered with it: it is no misfit
-    of_flow: bool = False  # whether the flow is another, and not the vehicle or an instrument
+    elements: tuple[str, ...]  # of the model: estimated, or varying about their values
+    words: str = ""  # a template for `Suspect.words`; empty: freed only on request
+    wanders: bool = False  # whether the elements are random processes, not constants
+    answered: bool = False  # whether the answer may contain it without being a misfit
+    of_flow: bool = False  # whether it concerns the flow, not the vehicle or an instrument
 
 
 WIND, BIAS, GAIN = ("wind_x", "wind_y"), ("position_bias_x", "position_bias_y"), ("gain",)
 BELIEVED = "than it is believed"
 FREEDOMS: dict[str, Cause] = {
     "response_time": Cause("response-time", ("response_time",),
-                           f"the response time seems {{size:.2g}} s {{longer}} {BELIEVED}"),
+                           f"the response time seems {{size}} s {{longer}} {BELIEVED}"),
     "thrust_scale": Cause("thrust", ("thrust_scale",),
-                          f"the thrust seems {{percent:.2g}} % {{more}} {BELIEVED}"),
+                          f"the thrust seems {{percent}} % {{more}} {BELIEVED}"),
     "thrust_rotation": Cause("thrust-turned", ("thrust_rotation",),
-                             "the thrust seems turned, by {degrees:.2g} degrees"),
+                             "the thrust seems turned, by {degrees} degrees"),
     "thrust_acceleration": Cause("thrust", ("thrust_bias_x", "thrust_bias_y")),
-    "wind": Cause("wind", WIND, "there seems to be a wind of ({x:.2g}, {y:.2g}) m/s"),
+    "wind": Cause("wind", WIND, "there seems to be a wind of ({x}, {y}) m/s, or another thrust"),
     "wind_growth": Cause("growing-wind", ("wind_growth_x", "wind_growth_y"), "there seems to be a "
-                         "wind that grows by ({x:.2g}, {y:.2g}) m/s in a second"),
+                         "wind that grows by ({x}, {y}) m/s in a second"),
     "drag": Cause("drag", ("quadratic_drag",),
-                  f"the drag seems {{more}} quadratic {BELIEVED}, by {{size:.2g}} s/m"),
+                  f"the drag seems {{more}} quadratic {BELIEVED}, by {{size}} s/m"),
     "mass": Cause("mass", ("mass_rate",),
-                  "the mass seems to change, by {signed:.2g} % in a second"),
-    "lag": Cause("lag", ("lag",), "the drag seems to lag behind the wind, by {milli:.2g} ms"),
-    "growth": Cause("decay", ("growth",), "the mean velocity seems to {grow}, by {percent:.2g} % "
+                  "the mass seems to change, by {signed} % in a second"),
+    "lag": Cause("lag", ("lag",), "the drag seems to lag behind the wind, by {milli} ms"),
+    "growth": Cause("decay", ("growth",), "the mean velocity seems to {grow}, by {percent} % "
                     "in a second", of_flow=True),
     "velocity_scale": Cause("velocity-scale", ("velocity_scale",),
-                            "the logged velocity seems {percent:.2g} % too {large}"),
+                            "the logged velocity seems {percent} % too {large}"),
     "position_scale": Cause("position-scale", ("position_scale",),
-                            "the logged position seems {percent:.2g} % too {large}"),
+                            "the logged position seems {percent} % too {large}"),
     "velocity_bias": Cause("velocity-bias", ("velocity_bias_x", "velocity_bias_y"),
-                           "the logged velocity seems off by ({x:.2g}, {y:.2g}) m/s"),
+                           "the logged velocity seems off by ({x}, {y}) m/s"),
     "latency": Cause("latency", ("latency",),
-                     "the logged {late} seems late, by {milli:.2g} ms"),
+                     "the logged {late} seems late, by {milli} ms"),
     "velocity_rotation": Cause("rotation", ("velocity_rotation",), "the frame of the velocity "
-                               "seems turned, by {degrees:.2g} degrees"),
+                               "seems turned, by {degrees} degrees"),
     "turbulence": Cause("turbulence", WIND, wanders=True, answered=True),
     "wander": Cause("position-noise", BIAS, wanders=True, answered=True),
     "swell": Cause("swelling", GAIN, "the mean velocity seems to change in time, by "
-                   "{percent:.2g} % rms", wanders=True, of_flow=True),
+                   "{percent} % rms", wanders=True, of_flow=True),
 }  # fmt: skip
-"""Causes by the name under which they are freed; an element that none names is one of its own."""
+"""Causes by the name under which they are freed; every other element is a cause of its own."""
 FREEDOMS |= {
-    name: Cause(name.replace("_", "-"), (name,), f"{name} seems {{size:.2g}} {{more}} {BELIEVED}")
+    name: Cause(name.replace("_", "-"), (name,), f"{name} seems {{size}} {{more}} {BELIEVED}")
     for name in ELEMENTS
     if not any(name in own.elements for own in FREEDOMS.values())
 }
@@ -68,8 +68,8 @@ SHAPES = {
     "turn": Cause("turn", ("kx_1", "ky_1", "kx_2", "ky_2"), "the cells seem turned", of_flow=True),
     "stretch": Cause("stretch", (), "the cells seem stretched", of_flow=True),
 }
-"""Causes that are freer shapes, where these are no answers."""
-ALIKE = (  # of each set one alone may be free: their columns are the same, or nearly
+"""Causes that are freer shapes, where these may not be the answer."""
+ALIKE = (  # sets of nearly collinear causes: one of each may be free
     {"wind", "thrust_acceleration", "thrust_scale", "thrust_rotation"},
     {"velocity_scale", "position_scale"},
 )
@@ -77,15 +77,15 @@ ALIKE = (  # of each set one alone may be free: their columns are the same, or n
 
 @dataclass(frozen=True)
 class Suspect:
-    """A cause of a misfit, and how large it is."""
+    """A cause of a misfit and its size."""
 
     cause: str  #: its name
     size: tuple[float, ...]  #: the change of each freed element, in its own unit, or a level
     p_value: float  #: of a gain in likelihood as large by chance, over all causes tested
     share: float  #: 2 ln(likelihood ratio) of the cause against none
     free: str = ""  #: the name under which it is freed
-    flight: int = 0  #: of several flights the number of the one that says so, from 1; else 0
-    also: str = ""  #: the name of what must be freed with it: the law of both is another
+    flight: int = 0  #: of several flights the number of the one concerned, from 1; else 0
+    also: str = ""  #: the name of a second cause to be freed with it, if any
 
     @property
     def remedy(self) -> str:
@@ -98,7 +98,7 @@ class Suspect:
 
     @property
     def of_flow(self) -> bool:
-        """Whether the flow itself is another."""
+        """Whether it concerns the flow itself."""
         return self.free not in FREEDOMS or FREEDOMS[self.free].of_flow
 
     @property
@@ -112,10 +112,17 @@ class Suspect:
             else ("less", "shorter", "small", "decay", "velocity")
         )
         milli = 1e3 * (abs(x) if self.free == "latency" else x)
+        numbers = {"x": x, "y": y, "size": abs(x), "percent": 100 * abs(x), "signed": 100 * x}
+        numbers |= {"milli": milli, "degrees": math.degrees(x)}
+        rounded = {name: two_digits(number) for name, number in numbers.items()}
         return template.format(
-            x=x, y=y, size=abs(x), percent=100 * abs(x), signed=100 * x, milli=milli,
-            degrees=math.degrees(x), more=more, longer=longer, large=large, grow=grow, late=late,
-        )  # fmt: skip
+            **rounded, more=more, longer=longer, large=large, grow=grow, late=late
+        )
+
+
+def two_digits(number: float) -> str:
+    """A number to two significant digits, without an exponent below a million."""
+    return f"{float(f'{number:.2g}'):g}"
 
 
 _CAUSES = (*FREEDOMS.values(), *SHAPES.values())

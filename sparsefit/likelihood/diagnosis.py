@@ -1,7 +1,7 @@
 """The search for causes of a misfit, each tested by its gain in log-likelihood.
 
 Beside the flow, the state-space model holds the vehicle, the air and the instruments at the values
-that they are believed to have. At the optimum of the flow one forward pass with a column for every
+that are assumed. At the optimum of the flow one forward pass with a column for every
 element that is known gives the score b and the information J of all; freeing a group g of them
 gains, to second order and with everything that is free already moving along,
 
@@ -28,38 +28,40 @@ from sparsefit.likelihood.gains import Gain, chance_of, gains_of
 from sparsefit.likelihood.model import SLOWEST, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import Posterior, Rung, measure
+from sparsefit.likelihood.posterior import Posterior, measure
+from sparsefit.likelihood.smoother import Step
 
 FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all groups
 FITTED = 3  # groups of the largest gains that are fitted for good
 ROUNDS = 4  # departures that are freed one after another, at most
-CLEAR = 8.0  # times a first gain, to second order: what gained more already is what there is
-CALMER = 0.5  # of the gain of what wanders: a cause beside it explains as much at least
-TUNED = 3.0  # the factor between the rates that are tried of what wanders
+CLEAR = 8.0  # times a second-order gain: a fit that gained more ends the search
+CALMER = 0.5  # the least gain of a cause beside a process, over that of the process
+TUNED = 3.0  # the factor between the rates of a process that are tried
 PASSES = 15  # of a search over all rows
-LAST = 60  # passes towards an answer that has not been at its maximum
-HINT = 0.1  # of a gain by chance, below which a cause that is not found widens the intervals
+LAST = 60  # passes towards an answer that has not converged
+HINT = 0.1  # the p-value below which a cause that is not significant widens the intervals
 FACTOR = 3.0  # by which a scale or a response time may be off
 LATEST = 0.2  # of half the log: the longest latency
-CHANCE = 2.0  # of log-likelihood, that a level may gain where it is none
+CHANCE = 2.0  # of log-likelihood: the gain of a level that may be chance
 COLOURED = 1e-3  # the p-value of innovations that are not white
 TWO_WAVES = ("axis", "square", "rectangle", "pair")  # shapes, each freer than those before
 SCANNED = (0.03, 0.1, 0.3, 1.0)  # shares of a level at which a process is first looked for
+ABSENT = 1e-6  # the share of a flight, of several, without the process
 
 
 Refit = Callable[[Sequence[Model], Posterior], Posterior | None]
-"""The posterior of models near another one; None where it is of no use, or of another flow."""
+"""The posterior of models near another one; None if it is unusable or of another flow."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One departure from a model that is fitted for good."""
+    """One departure from a model, to be fitted."""
 
     models: tuple[Model, ...]  # of each log, with the departure
-    freedom: int  # the parameters that it has more
-    cause: Cause | None = None  # None of a shape that may be chosen
-    free: str = ""  # the name of what is freed
-    flight: int = 0  # of several, the one that it is about; else 0
+    freedom: int  # the number of additional parameters
+    cause: Cause | None = None  # None of a shape that may be the answer
+    free: str = ""  # the name under which it is freed
+    flight: int = 0  # of several, the one concerned; else 0
 
     @property
     def suspicious(self) -> bool:
@@ -67,7 +69,7 @@ class Trial:
         return self.cause is not None and not self.cause.answered
 
     def suspect(self, before: Posterior, after: Posterior, chance: float, gain: float) -> Suspect:
-        """The cause, with the change of its elements or the level of what wanders."""
+        """The cause, with the change of its elements or the level of its process."""
         assert self.cause is not None
         size: tuple[float, ...] = (after.model.disturbance.levels.get(self.free, 0.0),)
         if not self.cause.wanders:
@@ -78,14 +80,14 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The causes that explain a flight beside the flow that was proposed."""
+    """The causes and disturbances found beside a proposed flow."""
 
     posterior: Posterior  # with all causes freed, and the disturbances that are there
     believed: Posterior  # with the disturbances and the shape alone
     suspects: tuple[Suspect, ...] = ()  # the causes, the largest gain first
     growth: tuple[float, float] = (math.nan, math.nan)  # of U0 [1/s], and its standard error
     turbulence_gain: float = 0.0  # 2 ln(likelihood ratio) of the disturbances that walk
-    ambiguity: tuple[float, float] = (0.0, 0.0)  # shares by which likely causes say other U0 and L
+    ambiguity: tuple[float, float] = (0.0, 0.0)  # relative spread of U0 and L among likely causes
 
 
 def diagnose(
@@ -102,8 +104,8 @@ def diagnose(
         logs: of the flights.
         posterior: of the flow with white process noise.
         freed: names of `FREEDOMS` that are free already.
-        shapes: whether a freer shape is an answer, and not a misfit.
-        inside: whether an optimum is still that of the flow that was proposed.
+        shapes: whether a freer shape may be the answer; else it is a misfit.
+        inside: whether an optimum is that of the proposed flow.
     """
     first = believed = posterior
     suspects, closed, wandering = list[Suspect](), set(freed), 0.0
@@ -115,7 +117,7 @@ def diagnose(
         return there if there is not None and usable(there) and inside(there) else None
 
     def attempts(trials: Iterable[Trial]) -> list[tuple[Trial, Posterior]]:
-        """The trials that can be, with their posteriors."""
+        """The usable and plausible trials, with their posteriors."""
         pairs = [(trial, refit(trial.models, posterior)) for trial in trials]
         return [(trial, own) for trial, own in pairs if own is not None and plausible(own, first)]
 
@@ -133,9 +135,11 @@ def diagnose(
         ]
         needed = 2.0 * CHANCE  # of a first gain, to compete
         for name, cause in FREEDOMS.items() if disturbed(start) else ():
-            process = process_of(name, start) if cause.wanders and name not in closed else None
-            if process is not None and _scanned(start, process) > needed:
-                fits += attempts([Trial(with_process(start.models, process), 2, cause, name)])
+            if not cause.wanders or name in closed:
+                continue
+            first_gain, models = _scanned(start, process_of(name, start))
+            if first_gain > needed:
+                fits += attempts([Trial(models, 1 + len(models), cause, name)])
                 most = max(map(merit, fits), default=-math.inf)
                 needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
         if likely and _releveled(start, likely[0][2].gain) > needed:
@@ -208,7 +212,7 @@ def _releveled(start: Posterior, gain: float) -> float:
 def _ambiguity(
     posterior: Posterior, believed: Posterior, rivals: Sequence[tuple[Posterior, Posterior, bool]]
 ) -> tuple[float, float]:
-    """The shares by which U0 and L differ between causes that are not told apart.
+    """The relative differences of U0 and L between causes that the logs cannot distinguish.
 
     Process noise that remains beside a cause is a misfit that no cause explains: likelihoods that
     differ by less than it gains say nothing of which cause is right. Where a cause is not all that
@@ -228,18 +232,36 @@ def _ambiguity(
     return speed, length
 
 
-def _scanned(start: Posterior, process: Process) -> float:
-    """The gain of a process at the best of some levels, all but the parameters as it is."""
-    levels = [replace(process, level=share * process.level) for share in SCANNED]
-    values = [_passed(start, with_process(start.models, own), process.name) for own in levels]
-    return 2.0 * (max(values) - start.log_likelihood)
+def _scanned(start: Posterior, process: Process) -> tuple[float, tuple[Model, ...]]:
+    """The gain of a process at the best of some levels, tracks as they are, and its models there.
+
+    Each of several flights has a level of its own, which may be nothing.
+    """
+    shares = SCANNED if len(start.legs) == 1 else (*SCANNED, ABSENT)
+    every = [
+        with_process(start.models, replace(process, level=share * process.level))
+        for share in shares
+    ]
+    if len(start.legs) > 1:
+        passes = [_pass(start, models).passes for models in every]
+        values = np.array([[own.value for own in each] for each in passes])
+        best = np.where(np.isfinite(values), values, -np.inf).argmax(axis=0).tolist()
+        every = [tuple(every[level][flight] for flight, level in enumerate(best))]
+    likely = [_reached(start, models) for models in every]
+    gain = 2.0 * (max(likely) - start.log_likelihood)
+    return gain, every[likely.index(max(likely))]
 
 
-def _passed(start: Posterior, models: Sequence[Model], name: str) -> float:
-    """The log-likelihood of models with a process, by one pass along the tracks of a posterior."""
-    pairs = zip(start.legs, models, strict=True)
-    value = Rung.of(tuple(leg.with_model(model) for leg, model in pairs), 0.0, name).value
+def _reached(start: Posterior, models: Sequence[Model]) -> float:
+    """The log-likelihood after a step of the parameters of models, -inf where it is no number."""
+    value = _pass(start, models).reached
     return value if math.isfinite(value) else -math.inf
+
+
+def _pass(start: Posterior, models: Sequence[Model]) -> Step:
+    """The forward pass of models along the tracks of a posterior."""
+    pairs = zip(start.legs, models, strict=True)
+    return Step.of([leg.with_model(model) for leg, model in pairs], keep=False)
 
 
 def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: Gain) -> Trial:
@@ -291,7 +313,7 @@ def _another_law(posterior: Posterior) -> list[Suspect]:
 
 
 def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
-    """The posterior with the rate of a process, by steps of a factor, that is most likely."""
+    """The posterior at the most likely rate of a process, by steps of a factor."""
 
     def at(factor: float) -> list[Model]:
         """The models at another rate, as strong at frequencies above."""
@@ -302,7 +324,7 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
             models += with_process([model], moved)
         return models
 
-    factor = max((TUNED, 1.0 / TUNED), key=lambda own: _passed(posterior, at(own), name))
+    factor = max((TUNED, 1.0 / TUNED), key=lambda own: _reached(posterior, at(own)))
     for _ in range(3):
         there = refit(at(factor), posterior)
         if there is None or there.log_likelihood < posterior.log_likelihood + 0.5:
@@ -319,7 +341,7 @@ def fitted(
 ) -> Posterior | None:
     """The posterior of models of logs, all their levels estimated.
 
-    start: an optimum nearby, whose tracks and levels are gone on from; without one the levels of
+    start: a nearby optimum whose tracks and levels are the start; without one the levels of
     the sensors start from the logs' own noise; passes: over all rows at most.
     """
     starts = list(models)
@@ -337,12 +359,12 @@ def fitted(
 
 
 def usable(posterior: Posterior) -> bool:
-    """Whether a posterior may be compared with others: at its maximum, or nearly."""
+    """Whether a posterior may be compared with others: it has converged, or nearly."""
     return posterior.converged or posterior.reason.startswith("not at the maximum")
 
 
 def process_of(name: str, posterior: Posterior) -> Process:
-    """A process of `FREEDOMS`, at the level and the rate where its likelihood is first sought."""
+    """A process of `FREEDOMS`, at the level and the rate where its search starts."""
     pattern, noise = posterior.model.pattern, posterior.model.disturbance.position_noise
     speed, time = pattern.mean_velocity, posterior.legs[0].nodes.time
     level, rate = {
@@ -364,14 +386,15 @@ def with_process(models: Iterable[Model], process: Process) -> tuple[Model, ...]
 
 
 def plausible(there: Posterior, believed: Posterior) -> bool:
-    """Whether vehicle and instruments are such as may be, beside what they are believed to be.
+    """Whether parameters of vehicle and instruments are within bounds about their assumed values.
 
-    Sizes of what was free from the start are what they are.
+    Those that were free from the start have no bounds.
     """
     for leg, before in zip(there.legs, believed.models, strict=True):
         now, was, half = leg.model.values, before.values, 0.5 * float(np.ptp(leg.log.time))
         most = dict.fromkeys((*WIND, "velocity_bias_x", "velocity_bias_y"), leg.log.speed)
         most |= {"mass_rate": 0.5 / half, "growth": 1.0 / half, "latency": LATEST * half}
+        most |= dict.fromkeys(FREEDOMS["wind_growth"].elements, leg.log.speed / half)
         sizes = {name: abs(now[name]) / size for name, size in most.items()}
         sizes |= {"lag": abs(now["lag"] / now["response_time"])}
         sizes |= {"quadratic_drag": -now["quadratic_drag"] * leg.log.speed}
@@ -384,7 +407,7 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
 
 
 def disturbed(posterior: Posterior) -> bool:
-    """Whether there is process noise, or colour: a level is seen, and is more than chance."""
+    """Whether there is process noise: a level that is significant, or innovations not white."""
     if posterior.exact or posterior.pushed or not posterior.seen > 1.0:
         return False
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
@@ -411,8 +434,8 @@ def groups_of(model: Model, closed: set[str]) -> dict[str, tuple[str, ...]]:
 def freer(models: Sequence[Model], group: str, *, answers: bool) -> list[Trial]:
     """The freer shapes with the waves of given models, as trials.
 
-    models share a pattern; group: "drift" or "turn"; answers: whether these are answers, and no
-    causes of a misfit.
+    models share a pattern; group: "drift" or "turn"; answers: whether these may be the answer; else
+    they are causes of a misfit.
     """
     pattern, trials = models[0].pattern, []
     later = TWO_WAVES[TWO_WAVES.index(pattern.shape) + 1 :]

@@ -1,4 +1,4 @@
-"""Score tests of elements that are known: the gain of freeing them, to second order (Rao 1948)."""
+"""Score tests: the gain in likelihood of freeing known elements, to second order (Rao 1948)."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.likelihood.posterior import Posterior
 
-SEEN = 1e-9  # the least eigenvalue of the scaled information of a direction that is seen
+SEEN = 1e-9  # the least eigenvalue of the scaled information of an observable direction
 
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """The gain of freeing a group of g elements, to second order, all that is free moving along."""
+    """The gain of freeing g elements, to second order, all free parameters re-estimated."""
 
     gain: float  # 2 ln(likelihood ratio)
     step: Array  # of the elements (g,)
     error: Array  # their standard errors (g,)
-    moves: tuple[float, float] = (0.0, 0.0)  # the shares by which U0 and L move with the step
+    moves: tuple[float, float] = (0.0, 0.0)  # relative changes of U0 and L by the step
 
 
 def gains_of(
@@ -32,8 +32,8 @@ def gains_of(
         groups: names of elements that are not free.
 
     Returns:
-        Gains by the name of a group and the number of the flight, from 1, whose own elements they
-        are; 0 of one flight alone, and of what all flights share.
+        Gains by the name of a group and the number, from 1, of the flight that has the elements;
+        0 of one flight alone, and of elements that all flights share.
     """
     local = posterior.model.names
     members = dict.fromkeys(own for group in groups.values() for own in group)
@@ -66,7 +66,7 @@ def gains_of(
 
 
 def _moves(posterior: Posterior, steps: dict[str, float]) -> tuple[float, float]:
-    """The shares by which U0 and L move with steps of the free parameters, to first order."""
+    """The relative changes of U0 and L by steps of the free parameters, to first order."""
     pattern, nudge = posterior.model.pattern, 1e-6
     values = zip(pattern.names, pattern.values, strict=True)
     moved = tuple(value + nudge * steps.get(name, 0.0) for name, value in values)

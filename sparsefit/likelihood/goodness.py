@@ -1,9 +1,9 @@
-"""How sure an estimate is, and how well its model explains a log.
+"""Standard errors of an estimate, and the goodness of fit of its model.
 
 Innovations of the right model, each over its standard deviation, are white with variance 1.
-Bartlett's test (1954) holds the cumulative periodogram of each channel against a straight line: its
-largest distance is that of an empirical distribution (Kolmogorov). Levels are fitted, so that the
-variance is 1 whatever is wrong, and the colour tells.
+Bartlett's test (1954) compares the cumulative periodogram of each channel with a straight line: its
+largest distance has Kolmogorov's distribution. Levels are fitted, so that the variance is 1 even of
+a wrong model; the spectrum shows the misfit.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ class Uncertainty(dict[str, Any]):
     """Standard errors by the names of quantities, and the intervals that hold 95 % of truths.
 
     A quantity NAME has NAME and NAME_interval, a pair (x, y) NAME and NAME_intervals, each in its
-    own unit, all of them attributes as well. What a flight does not tell is inf, its interval
-    infinite.
+    own unit, all of them attributes as well; inf where a flight does not determine a quantity.
     """
 
     @classmethod
@@ -67,21 +66,21 @@ def interval(value: float, error: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Agreement:
-    """The distance by which the logged position wanders from the integral of the velocity."""
+    """The error of the logged position against the integral of the velocity."""
 
     wander: float = 0.0  #: rms of a correlated error of the position [m], 0 where there is none
     wander_time: float = math.nan  #: its correlation time [s]
 
     @classmethod
     def of(cls, model: Model) -> Agreement | None:
-        """From a model in which the position wanders; None of another."""
+        """From a model with a correlated error of position; None of another."""
         processes = [own for own in model.disturbance.processes if own.name == "wander"]
         return cls(processes[0].level, 1.0 / processes[0].rate) if processes else None
 
 
 @dataclass(frozen=True)
 class Goodness:
-    """The share that a model explains of what a flight says of the flow; NaN where it is not told.
+    """The goodness of fit of a model; NaN where it was not computed.
 
     `r_squared` is the share of the variance of the air's velocity along the track, within the band
     of the flow, that the flow explains; process noise and turbulence are the rest.
@@ -94,12 +93,12 @@ class Goodness:
     likelihood_ratio: float = math.nan  #: 2 ln(likelihood ratio) of turbulence against none
     turbulence: float = math.nan  #: along the path, rms of a component about its mean [m/s]
     turbulence_share: float = math.nan  #: of the mean velocity U0 of the fastest flow
-    suspect: Suspect | None = None  #: that explains the flight beside its flow, if something does
+    suspect: Suspect | None = None  #: the cause of the largest gain, if any was found
     flights: tuple[Goodness, ...] = ()  #: of each of several
 
     @classmethod
     def of(cls, posterior: Posterior, diagnosis: Diagnosis) -> Goodness:
-        """From a posterior, and the diagnosis behind it."""
+        """From a posterior and its diagnosis."""
         speed = posterior.model.pattern.mean_velocity
         gusts, kicks = np.array([_disturbances(leg) for leg in posterior.legs]).T
         flow, every = speed**2 / 4, posterior.whiteness  # mean square of a component of cells
@@ -137,12 +136,12 @@ def _disturbances(leg: Leg) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Constancy:
-    """The rate at which the mean velocity changes, to first order; several flows share it."""
+    """The rate of change of the mean velocity, to first order; several flows share it."""
 
     rate: float  #: dU0/dt [m/s^2], 0 of a flow that is constant
     standard_error: float  #: of it [m/s^2]
-    interval: tuple[float, float]  #: that holds it in 95 % of flights [m/s^2]
-    p_value: float  #: how likely a constant flow shows a rate as large, of either sign
+    interval: tuple[float, float]  #: of 95 % [m/s^2]
+    p_value: float  #: of a constant flow, two-sided
 
     @classmethod
     def of(cls, growth: float, error: float, mean_velocity: float) -> Constancy | None:

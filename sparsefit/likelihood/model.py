@@ -1,9 +1,8 @@
 """The model of a log: motion, instruments and disturbances, each parameter with a value.
 
-Equations and elements stand in `reference`: the passes know the derivative by each element, and
-the free parameters of a model are chained to the elements by one Jacobian. An element may also walk
-about its value, as a state: gusts are a wind that does, a swell a gain, a Gauss-Markov error of
-position a bias.
+Equations and elements are in `reference`. The passes differentiate by the elements; a Jacobian maps
+a model's free parameters to them. An element may also vary in time about its value, as a state:
+gusts are a varying wind, a swell a varying gain, a Gauss-Markov error of position a varying bias.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ LEVELS = ("acceleration", "position_noise", "velocity_noise")
 
 @dataclass(frozen=True)
 class Process:
-    """Elements that walk about their values, each by an independent process of one level.
+    """Elements that vary in time about their values, each by an independent process of one level.
 
     Args:
         name: the name of the level.
         elements: the names of the elements.
         level: the stationary rms in the elements' unit; of a random walk, per sqrt(s).
-        rate: beta [1/s] of u' = -beta u + level sqrt(2 beta) white; 0: a random walk. Of a wind it
-            is that at the rms speed: gusts change with the way through them (`Model.space`).
+        rate: beta [1/s] of u' = -beta u + level sqrt(2 beta) white; 0: a random walk. For a wind,
+            the rate at the rms speed: gusts vary along the path (`Model.space`).
     """
 
     name: str
@@ -139,8 +138,7 @@ class Model:
     def jacobian(self, names: Iterable[str]) -> Array:
         """The derivatives (e + 5 j, p) of the elements by named parameters.
 
-        A name may also be that of an element of a wave that no parameter of the pattern moves
-        alone: "kx_2", "frequency_1".
+        A name may also be that of a single quantity of a wave: "kx_2", "frequency_1".
         """
         order, waves, names = list(ELEMENTS), len(self.pattern.waves), tuple(names)
         columns = np.zeros((len(names), len(order) + 5 * waves))
@@ -156,7 +154,7 @@ class Model:
         return columns.T
 
     def at(self, values: Mapping[str, float]) -> Model:
-        """Return the model with other values; which are free does not change."""
+        """Return the model with other values and the same free parameters."""
         flow = zip(self.pattern.names, self.pattern.values, strict=True)
         moved = tuple(float(values.get(name, old)) for name, old in flow)
         other = {name: float(value) for name, value in values.items() if name in ELEMENTS}
@@ -174,8 +172,8 @@ class Model:
     def space(self, names: Iterable[str] = (), track: Array | None = None) -> StateSpace:
         """Return the state space, with sensitivities by named parameters.
 
-        Gusts are a field that the vehicle flies through: a wind that wanders does so at the rate
-        beta sqrt(|v - c|^2 + level^2) over its rms along the track (m, n), c that of the pattern.
+        Gusts are a field in space: a varying wind has the rate beta sqrt(|v - c|^2 + level^2) over
+        its rms along the track (m, n), with c the velocity of the pattern.
         """
         disturbance, order = self.disturbance, list(ELEMENTS)
         walkers = [

@@ -1,8 +1,8 @@
-"""The readings of a log, the nodes at which they stand, and their states given all of them.
+"""The readings of a log, the nodes (times) at which they are taken, and smoothed states.
 
-A node has up to four readings (position x, y, velocity x, y); a reading that is missing has the
-weight 0. Positions that are older than the velocities of their rows stand at nodes of their own.
-Where readings are further apart than a step of the motion may be, nodes without any lie between.
+A node has up to four readings (position x, y, velocity x, y); a missing reading has the weight 0.
+Positions with a latency have nodes of their own. Where readings are further apart than the longest
+step of the motion, nodes without readings are inserted.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from sparsefit.errors import InputError
 if TYPE_CHECKING:
     from sparsefit.flight import Flight
 
-MOST_NODES = 64  # in one gap per reading of the log, before the log is refused
-DIFFUSE = 30.0  # deviations of the first state, in those of its readings
+MOST_NODES = 64  # per row of the log; a log that needs more is refused
+DIFFUSE = 30.0  # prior deviation of the first state over the noise of its readings
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class FlightLog:
 
     @cached_property
     def speed(self) -> float:
-        """The speed [m/s] that 95 % of the flight does not exceed."""
+        """The 95th percentile of the speed [m/s]."""
         speeds = np.hypot(*self.velocity.T)
         if not np.isfinite(speeds).any():
             seen = np.isfinite(self.position).all(axis=1)
@@ -86,12 +86,12 @@ class FlightLog:
 
     @property
     def kicks(self) -> float:
-        """The least process noise [m/s^2/sqrt(Hz)]: that of the thrust as it was measured."""
+        """The smallest process noise [m/s^2/sqrt(Hz)]: that of the measured thrust."""
         return self.thrust_noise * math.sqrt(self.interval)
 
     @property
     def spread(self) -> Array:
-        """The variance (4,) of the first position and velocity: of this log, whatever its model."""
+        """The prior variance (4,) of the first position and velocity, from the log alone."""
         place, rate = (DIFFUSE * noise for noise in self.noise)
         measured = np.isfinite(self.velocity).any()
         return np.repeat(np.square([place, rate if measured else 10.0 * self.speed]), 2)
@@ -99,7 +99,7 @@ class FlightLog:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """The readings of a log in the order of their times, about its origin.
+    """The readings of a log in order of time, relative to an origin.
 
     Args:
         time: from the origin (m,) [s].
@@ -153,7 +153,7 @@ class Nodes:
         return cls(time, np.column_stack(push), measured, weights, weights > 0.0)
 
     def track(self) -> Array:
-        """Return a first track (m, 4) through the readings."""
+        """Return an initial track (m, 4), interpolated between the readings."""
         track = np.zeros((len(self.time), 4))
         for channel, seen in enumerate(self.seen.T):
             if seen.any():
@@ -166,13 +166,13 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A backward pass.
+    """The result of a backward pass.
 
     Args:
         track: the states (m, n) given all readings.
         adjoint: r at each node and after it (m + 1, 2 n).
-        scores: of the readings (m, 12): u, the residual u/sqrt(D) that each leaves when it is left
-            out over its deviation, the standardised innovation e/sqrt(S).
+        scores: of the readings (m, 12): u, the standardised leave-one-out residual u/sqrt(D), the
+            standardised innovation e/sqrt(S).
         squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
             their difference is the derivative of the log-likelihood by its logarithm.
     """

@@ -1,12 +1,13 @@
-"""Patterns of flow: plane waves of a stream function, bound to each other by a shape.
+"""Patterns of flow: plane waves of a stream function, constrained by a shape.
 
     psi = sum_j a_j cos(phi_j) + b_j sin(phi_j),   phi_j = k_j . (x - x0 - c (t - t0)),
     w = (d psi/dy, -d psi/dx)
 
 Cells have two waves k = q + p and q - p of one amplitude A, p and q at right angles:
 |p| = pi/L_x at the heading, |q| = pi/L_y, and U0 = A sqrt(|k_1|^2 + |k_2|^2). "axis" has no heading
-and L_x = L_y; "square" any heading; "rectangle" two lengths. The waves of "pair" and "several" have
-wavevectors and amplitudes of their own. Every shape may drift with a velocity c.
+and L_x = L_y; "square" any heading; "rectangle" two lengths. "scales" are several "axis" flows of
+different U0 and L. The waves of "pair" and "several" have independent wavevectors and amplitudes.
+Every shape may drift with a velocity c.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 
-SHAPES = ("axis", "square", "rectangle", "pair", "several")
+SHAPES = ("axis", "square", "rectangle", "pair", "scales", "several")
 CELLS = {
     "axis": ("mean_velocity", "length_scale", "phase_1", "phase_2"),
     "square": ("mean_velocity", "length_scale", "heading", "phase_1", "phase_2"),
@@ -39,7 +40,7 @@ class StreamPattern:
     """A flow of waves in a shape.
 
     Args:
-        shape: "axis", "square", "rectangle", "pair" or "several".
+        shape: "axis", "square", "rectangle", "pair", "scales" or "several".
         values: the parameters of the shape, in the order of `names`; lengths [m], velocities
             [m/s], angles and phases [rad], wavevectors [rad/m], amplitudes of psi [m^2/s].
         drifting: whether the pattern moves; its velocity stands last in `values`.
@@ -78,6 +79,10 @@ class StreamPattern:
         waves = np.array(wavevectors, dtype=np.float64).reshape(-1, 2)
         a, b = np.array(cosine, dtype=np.float64), np.array(sine, dtype=np.float64)
         moving = () if drift is None else (float(drift[0]), float(drift[1]))
+        if shape == "scales":
+            flows = [slice(j, j + 2) for j in range(0, len(waves), 2)]
+            cells = [cls.of_waves("axis", waves[own], a[own], b[own]).values for own in flows]
+            return cls(shape, (*np.concatenate(cells).tolist(), *moving), drift is not None)
         if shape not in CELLS:
             values = np.column_stack([waves, a, b]).ravel()
             return cls(shape, (*values.tolist(), *moving), drift is not None)
@@ -102,16 +107,18 @@ class StreamPattern:
     def names(self) -> tuple[str, ...]:
         """The names of the values; those of a wave j are kx_j, ky_j, cosine_j, sine_j."""
         count = (len(self.values) - 2 * self.drifting) // 4
-        free = tuple(f"{name}_{j + 1}" for j in range(count) for name in WAVE[:4])
+        own = ("mean_velocity", "length_scale", "phase", "other_phase")
+        each = own if self.shape == "scales" else WAVE[:4]
+        free = tuple(f"{name}_{j + 1}" for j in range(count) for name in each)
         return CELLS.get(self.shape, free) + DRIFT * self.drifting
 
     @property
     def drift(self) -> tuple[float, float]:
-        """The velocity (c_x, c_y) [m/s] of the pattern, (0, 0) where it stands."""
+        """The velocity (c_x, c_y) [m/s] of the pattern, (0, 0) of a steady one."""
         return (self.values[-2], self.values[-1]) if self.drifting else (0.0, 0.0)
 
     def passed(self, velocities: Array) -> Array:
-        """The speed (m,) at which velocities (m, 2) go past the pattern [m/s]."""
+        """The speeds (m,) of velocities (m, 2) relative to the pattern [m/s]."""
         speeds: Array = np.hypot(*(velocities - self.drift).T)
         return speeds
 
@@ -144,7 +151,7 @@ class StreamPattern:
         return math.pi * math.sqrt(2.0 / float(np.mean(kx**2 + ky**2)))
 
     def apart(self, other: StreamPattern) -> tuple[float, float]:
-        """The shares by which U0 and L of another pattern are larger."""
+        """Relative differences of U0 and L of another pattern from these."""
         speeds = other.mean_velocity / self.mean_velocity
         return speeds - 1.0, other.length_scale / self.length_scale - 1.0
 
@@ -162,10 +169,9 @@ class StreamPattern:
         shift = kx * x + ky * y - omega * t
         cos, sin = np.cos(shift), np.sin(shift)
         values = np.array(self.values)
-        if self.shape in CELLS:
-            first = self.names.index("phase_1")
-            phases = values[first : first + 2] + shift
-            values[first : first + 2] = np.angle(np.exp(1j * phases))
+        phases = [place for place, name in enumerate(self.names) if "phase_" in name]
+        if phases:
+            values[phases] = np.angle(np.exp(1j * (values[phases] + shift)))
         else:
             bare = values[: 4 * len(a)].reshape(-1, 4)
             bare[:, 2], bare[:, 3] = a * cos + b * sin, b * cos - a * sin
@@ -175,7 +181,10 @@ class StreamPattern:
 def _expanded(shape: str, values: Array, drifting: bool) -> Array:
     """The elementary quantities (j, 5, c) of c sets of values (p, c), complex ones too."""
     bare = values[: len(values) - 2 * drifting]
-    if shape in CELLS:
+    if shape == "scales":
+        flows = bare.reshape(-1, 4, bare.shape[1])
+        waves = np.concatenate([_expanded("axis", own, False) for own in flows])
+    elif shape in CELLS:
         value = dict(zip(CELLS[shape], bare, strict=True))
         heading, speed = value.get("heading", 0.0 * bare[0]), value["mean_velocity"]
         p = math.pi / value.get("length_scale_x", value.get("length_scale", 1.0))

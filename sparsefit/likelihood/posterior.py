@@ -1,15 +1,14 @@
-"""What logs say of a model: the optimum, its covariance, and the bound on that.
+"""The posterior of a model given logs: maximum of the likelihood, covariance, Cramer-Rao bound.
 
-At the optimum the levels are known to no more than a few degrees of freedom, and intervals are wide
-or narrow with them. They are integrated out along each level apart (Rue, Martino and Chopin 2009,
-J. R. Stat. Soc. B 71, 319), the prior flat in its square root: a forward pass at another level
-gives its likelihood, and how far and how surely the parameters would move there.
+Levels of noise are known to a few degrees of freedom only, and the widths of intervals depend on
+them. Each level is integrated out in turn (Rue, Martino and Chopin 2009, J. R. Stat. Soc. B 71,
+319), with a prior that is flat in its square root: a forward pass at another level gives the
+likelihood there, the shift of the parameters and their covariance.
 
-A process along the way stands for turbulence, which is a field in space and has other
-strengths at other wavevectors than the flight's own way tells. Waves around those of the flow, as
-near as the flight's extent tells them apart, say which: each of amplitude 0 has a score that is
-chi^2 where the model holds. Their mean excess is how much more of the flow's own waves may be
-turbulence than the model gives: a sandwich covariance, its middle read at neighbouring wavevectors.
+A process along the path stands in for turbulence, a field in space whose spectrum at the flow's
+wavevectors the path alone does not determine. It is estimated at neighbouring wavevectors, as close
+as the extent of the flight resolves: a wave of amplitude 0 has a score that is chi^2 if the model
+holds. The mean score multiplies the covariance: a sandwich whose middle is estimated there.
 """
 
 from __future__ import annotations
@@ -28,24 +27,24 @@ from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.smoother import PASSES, Step, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
-COARSE = 200  # rows of a log that the first passes see
+COARSE = 200  # rows of a log in the first passes
 ANNEAL = 1.0  # process noise that the search starts from, in |w|/tau per sqrt(|k| |w|)
 EXACT = 1e-6  # of the flow's length and velocity: noise below it counts as none
-NUDGE = 0.3  # of the logarithm of a level, to see how the likelihood bends
+NUDGE = 0.3  # of the logarithm of a level, for a second difference of the likelihood
 NEIGHBOURS = 30  # waves around those of the flow
 NEAREST, FURTHEST = 2.5, 5.0  # of these, in 2 pi over the extent of the flight
-NOTHING = 0.1  # degrees of freedom of a level: the parameters feel no less of it
+NOTHING = 0.1  # degrees of freedom of a level that is negligible
 FEWEST = 16  # innovations of a channel that are tested
 
 
 @dataclass(frozen=True, eq=False)
 class Rung:
-    """Logs at another level than that of the optimum.
+    """The likelihood and the parameters at a level other than the optimum.
 
     Args:
         height: the logarithm of the level over that of the optimum.
-        value: the log-likelihood, the parameters moved to its maximum there.
-        covariance: of these (p, p), and of how far they moved.
+        value: the log-likelihood, maximised over the parameters.
+        covariance: of these (p, p) about their values at the optimum.
     """
 
     height: float
@@ -54,7 +53,7 @@ class Rung:
 
     @classmethod
     def of(cls, legs: tuple[Leg, ...], height: float, name: str, place: int | None = None) -> Rung:
-        """One forward pass of the logs; place: of the log whose level it is, None: all."""
+        """One forward pass of the logs; place: the number of the log with the level, None: all."""
         moved = tuple(
             leg.at({name: math.exp(height) * leg.model.disturbance.levels[name]})
             if place in (None, number)
@@ -68,14 +67,14 @@ class Rung:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The maximum of the likelihood of logs under a model, and its spread.
+    """The maximum of the likelihood of logs under a model, and its covariance.
 
     Args:
         legs: each log with its model, levels and track at the optimum.
         names: of the free parameters (p,); "tau@2" is that of the second log.
         information: of these (p, p), levels at their values.
         log_likelihood: at the optimum.
-        seen: the information of the logarithm of process noise's variance, of the first log.
+        seen: the information of the logarithm of process noise's variance, the largest of a log.
         reason: why the search did not end at the optimum; empty where it did.
     """
 
@@ -88,17 +87,22 @@ class Posterior:
 
     @property
     def converged(self) -> bool:
-        """Whether the search ended at the optimum, and the log sees every free parameter."""
+        """Whether the search ended at the optimum and every free parameter is observable."""
         return not self.reason
 
     @property
     def exact(self) -> bool:
-        """True where readings and motion are as exact as the passes: noise says nothing then."""
+        """Whether the readings and the motion of all logs are as exact as the passes."""
+        return all(self.exact_logs)
+
+    @property
+    def exact_logs(self) -> tuple[bool, ...]:
+        """Whether readings and motion are as exact as the passes, by log: no test of noise then."""
         pattern, values = self.model.pattern, self.model.values
         speed, turnover = pattern.mean_velocity, pattern.length_scale / pattern.mean_velocity
         pull = speed * (1.0 + abs(values["quadratic_drag"]) * speed) / values["response_time"]
         bound = 1e2 * EXACT * pull * math.sqrt(turnover)  # a wrong motion has more
-        return all(
+        return tuple(
             disturbance.position_noise < 3.0 * EXACT * pattern.length_scale
             and disturbance.acceleration < bound
             for disturbance in (leg.model.disturbance for leg in self.legs)
@@ -106,7 +110,7 @@ class Posterior:
 
     @property
     def pushed(self) -> bool:
-        """True where the noise of a measured thrust is most that is seen: it is not white."""
+        """True if the noise of a measured thrust, which is not white, dominates."""
         return any(
             leg.log.thrust_noise * leg.log.interval > leg.model.disturbance.velocity_noise
             and leg.model.disturbance.acceleration < 1.5 * leg.log.kicks
@@ -125,15 +129,16 @@ class Posterior:
 
     @property
     def innovations(self) -> tuple[Array, ...]:
-        """Of each log, standardised (m, 4); NaN where there is no reading, or one left out."""
+        """Standardised innovations (m, 4) of each log; NaN where no reading is used."""
         scores = [leg.last.scores[:, 8:] if leg.last else np.nan for leg in self.legs]
         pairs = zip(self.legs, scores, strict=True)
         return tuple(np.where(leg.nodes.weights > 0.0, each, np.nan) for leg, each in pairs)
 
     @cached_property
     def whiteness(self) -> tuple[float, ...]:
-        """The p-value of each log that white innovations show as much structure in time."""
-        return tuple(whiteness(each) for each in self.innovations)
+        """The p-value of white innovations of each log, 1 of an exact one."""
+        pairs = zip(self.innovations, self.exact_logs, strict=True)
+        return tuple(1.0 if exact else whiteness(each) for each, exact in pairs)
 
     @cached_property
     def evidence(self) -> float:
@@ -164,7 +169,7 @@ class Posterior:
 
     @cached_property
     def covariance(self) -> Array:
-        """Of the free parameters (p, p), levels integrated out, neighbouring waves allowed for."""
+        """Covariance of the free parameters (p, p), levels integrated out, inflated."""
         bare = inverted(self.information)[0]
         if not self.converged or not np.isfinite(bare).all():
             return bare
@@ -178,7 +183,7 @@ class Posterior:
         return total * self.inflation
 
     def _widened(self, place: int, name: str, bare: Array) -> Array:
-        """The part that a level's uncertainty adds to the covariance (p, p).
+        """The increase of the covariance (p, p) by the uncertainty of a level.
 
         Where the level is known to less than half, its rungs go by factors of 3 from one that
         counts as nothing (degrees of freedom grow with its square at most) to an unlikely one.
@@ -209,7 +214,7 @@ class Posterior:
 
     @cached_property
     def inflation(self) -> float:
-        """The mean score of waves around those of the flow where something wanders, 1 or more."""
+        """The mean score of neighbouring waves, 1 or more; 1 of a model without processes."""
         pattern = self.model.pattern
         if not self.model.disturbance.processes:
             return 1.0
@@ -239,7 +244,7 @@ class Posterior:
         return max(0.5 * float(np.mean(np.sum(pairs * solved, axis=1))), 1.0)
 
     def scores(self, extra: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
-        """Score (q,) and information (q, q) by the free parameters and others, and their names."""
+        """Names, score (q,) and information (q, q) of the free parameters and of others."""
         step = Step.of([replace(leg, last=None) for leg in self.legs], extra, keep=False)
         return step.names, step.score, step.information
 
@@ -297,9 +302,9 @@ def measure(
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
         legs, step, reason = climbed(legs, floors, hold, passes)
-    value = step.reached if math.isfinite(step.reached) else -math.inf
-    known = step.levels[0]
-    seen = float(known[0, 0]) if known.size else 0.0
+    value = step.reached - step.gain * bool(reason)  # a step that was not taken gains nothing
+    value = value if math.isfinite(value) else -math.inf
+    seen = max((float(known[0, 0]) for known in step.levels if known.size), default=0.0)
     return Posterior(legs, step.names, step.information, value, seen, reason)
 
 
@@ -327,7 +332,7 @@ def bound(logs: Sequence[FlightLog], models: Sequence[Model], states: Sequence[A
 def _about(
     logs: FlightLog | Sequence[FlightLog], model: Model | Sequence[Model]
 ) -> tuple[tuple[FlightLog, ...], tuple[Model, ...]]:
-    """Logs and their models, phases counted from the middle of all logs."""
+    """Logs and their models, with phases relative to the middle of all logs."""
     records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
     models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
     if len(models) != len(records) or any(each.names != models[0].names for each in models):
@@ -337,7 +342,7 @@ def _about(
 
 
 def whiteness(innovations: Array) -> float:
-    """The p-value of Bartlett's test of standardised innovations (m, c), the least of c channels.
+    """The p-value of Bartlett's test of standardised innovations (m, c), smallest of c channels.
 
     Missing ones are NaN; the p-value counts the channels. NaN where too few were read.
     """

@@ -1,4 +1,4 @@
-"""The iterated smoother: trajectory, parameters and levels climb the likelihood together.
+"""The iterated smoother: it maximises the likelihood over trajectory, parameters and levels.
 
 A pass linearises the motion along the last track, filters forward and smooths backward, which is
 one Gauss-Newton step on trajectory and parameters together (Bell 1994, SIAM J. Optim. 4, 626).
@@ -27,12 +27,12 @@ from sparsefit.likelihood.trellis import Leg, Pass
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise
 PASSES = 30  # at most, on few rows and on all
-LIFTS = 2  # times that the search may start again with ten times the process noise
-GAIN = 0.005  # of the log-likelihood, that a last pass may still bring
-NEGLIGIBLE = 0.01  # degrees of freedom that a level may take and count as zero
+LIFTS = 2  # restarts of the search with ten times the process noise
+GAIN = 0.005  # of the log-likelihood in a pass, below which the search has converged
+NEGLIGIBLE = 0.01  # degrees of freedom of a level that counts as zero
 GATE = 4.5  # deviations beyond which a reading is left out
 OUTLIERS = 0.2  # the largest share of readings that may be left out
-SORTING = 8  # passes after which no reading is left out or taken in any more
+SORTING = 8  # passes after which the choice of readings is fixed
 DEPENDENT = 1e-11  # the least eigenvalue of the scaled information of an observable model
 
 
@@ -47,7 +47,7 @@ class Step:
         score: b (p,).
         information: J (p, p).
         covariance: its inverse, where it has one.
-        blind: the names that the logs cannot tell from each other, if any.
+        blind: the names of parameters that are not separately observable, if any.
     """
 
     passes: tuple[Pass, ...]
@@ -85,7 +85,7 @@ class Step:
 
     @property
     def gain(self) -> float:
-        """The log-likelihood that the step should gain."""
+        """The predicted gain of the log-likelihood by the step."""
         return 0.5 * float(self.score @ self.change)
 
     @property
@@ -131,7 +131,7 @@ class Step:
 def climbed(
     legs: tuple[Leg, ...], floors: Sequence[Array], hold: int, most: int = PASSES
 ) -> tuple[tuple[Leg, ...], Step, str]:
-    """Pass after pass while the likelihood rises.
+    """Iterate passes until the likelihood has converged.
 
     Args:
         legs: where the search starts.
@@ -140,10 +140,10 @@ def climbed(
         most: passes.
 
     Returns:
-        The logs at the optimum with their smoothed passes, the last step, and why the search did
-        not converge; empty where it did.
+        The logs at the optimum with their smoothed passes, the last step, and the reason why the
+        search did not converge; empty if it did.
     """
-    reason, halvings, lifts, fresh = "", 0, 0, True
+    reason, share, halvings, lifts, fresh = "", 1.0, 0, 0, True
     scouts = [LevelSteps(floor, hold) for floor in floors]
     history: list[float] = []
     best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
@@ -168,6 +168,8 @@ def climbed(
             sorted_out = zip(legs, smoothed, strict=True) if len(history) < SORTING else ()
             fresh = sum(_gated(*pair) for pair in sorted_out) > 0
             history.append(step.reached)
+            if not fresh and [rise < 0.0 for rise in np.diff(history[-4:])] == [True, False, True]:
+                share *= 0.5  # it goes to and fro across the maximum
             moves = [
                 scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
                 for scout, leg, each, levels in zip(
@@ -181,7 +183,7 @@ def climbed(
             if not fresh and step.gain < enough and (gains < enough or level):
                 break
         if best is not None:
-            legs = best[0].moved(best[1], 0.5**halvings, best[2])
+            legs = best[0].moved(best[1], share * 0.5**halvings, best[2])
             if "latency" in legs[0].model.names:  # nodes move with it
                 legs = tuple(leg.again(leg.stride) for leg in legs)
     else:
@@ -198,10 +200,7 @@ def climbed(
 
 
 def _gated(leg: Leg, smoothed: Smoothed) -> bool:
-    """Leave readings out that all others contradict, take in those that they bear out.
-
-    True where a weight changed.
-    """
+    """Set the weights of outliers to 0 and of other readings to 1; True if a weight changed."""
     nodes: Nodes = leg.nodes
     far = np.abs(smoothed.scores[:, 4:8])
     if not far.max() > GATE and ((nodes.weights > 0.0) == nodes.seen).all():
@@ -221,7 +220,7 @@ def _gated(leg: Leg, smoothed: Smoothed) -> bool:
 
 
 class LevelSteps:
-    """The steps of the logarithms of the variances of one log, pass after pass."""
+    """Successive steps of the logarithms of the variances of one log."""
 
     def __init__(self, floors: Array, hold: int) -> None:
         """Begin far from the optimum; the arguments are those of `climbed`."""
@@ -231,7 +230,7 @@ class LevelSteps:
     def change(
         self, levels: list[float], squares: Array, information: Array
     ) -> tuple[Array, float]:
-        """Return the step (l,) of the logarithms, and what it may gain.
+        """Return the step (l,) of the logarithms and its predicted gain.
 
         Args:
             levels: standard deviations (l,).
@@ -270,7 +269,7 @@ class LevelSteps:
 
 
 def _bounded(information: Array, score: Array, least: Array) -> Array:
-    """The step of a quadratic (l,), as shares of variances: none falls by more than `least`."""
+    """The Newton step (l,), as shares of the variances, with bounds `least` and 2."""
     share, free = np.zeros(len(score)), np.ones(len(score), dtype=bool)
     for _ in score:
         block = information[np.ix_(free, free)]
@@ -286,7 +285,7 @@ def _bounded(information: Array, score: Array, least: Array) -> Array:
 
 
 def inverted(information: Array) -> tuple[Array, IntArray]:
-    """The inverse of an information matrix (p, p), and which parameters it leaves unknown."""
+    """The inverse of an information matrix (p, p), and the indices of unobservable parameters."""
     if not len(information) or not np.isfinite(information).all():
         return np.full_like(information, np.nan), np.zeros(0, dtype=np.intp)
     size = np.sqrt(np.maximum(np.diag(information), 0.0))

@@ -1,7 +1,7 @@
 """A log with a model and a track through its nodes, and one pass over it.
 
 A pass filters forward and smooths backward, in blocks: the filter at the start of each is stored,
-and what the way back reads of a block but the last is filtered once more when it gets there.
+and every block but the last is filtered once more in the backward pass.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """One log on the way to the optimum.
+    """One log during the search for the optimum.
 
     Args:
         log: the readings.
         model: at the values and levels reached; phases count from the origin of the nodes.
         nodes: of every `stride`-th row.
         track: the states (m, n) at the nodes, which the motion is linearised along.
-        last: the last smoothed pass, of these nodes; None: none of use.
+        last: the last backward pass on these nodes, if any.
         stride: of the rows.
     """
 
@@ -52,7 +52,7 @@ class Leg:
     def of(
         cls, log: FlightLog, model: Model, stride: int = 1, path: tuple[Array, Array] | None = None
     ) -> Leg:
-        """Place the nodes of a log, further apart where rows are left out, and a track on them.
+        """Place the nodes of a log, further apart if rows are left out, and a track on them.
 
         path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
         """
@@ -64,7 +64,7 @@ class Leg:
         return cls(log, model, nodes, _widened(near, model), None, stride)
 
     def again(self, stride: int) -> Leg:
-        """The leg on the nodes of another stride, or of a latency that has moved."""
+        """The leg on the nodes of another stride or of a changed latency."""
         leg = Leg.of(self.log, self.model, stride, (self.nodes.time, self.track))
         if not np.array_equal(leg.nodes.seen, self.nodes.seen):
             return leg
@@ -72,12 +72,12 @@ class Leg:
         return replace(leg, nodes=nodes, last=self.last)
 
     def at(self, levels: dict[str, float]) -> Leg:
-        """The leg at other levels, of which no pass was made."""
+        """The leg at other levels, without a pass."""
         disturbance = self.model.disturbance.at(levels)
         return replace(self, model=replace(self.model, disturbance=disturbance), last=None)
 
     def with_model(self, model: Model) -> Leg:
-        """The leg under another model of the same flow, what is new of its state about 0."""
+        """The leg under another model of the same flow; new states are 0."""
         return replace(self, model=model, track=_widened(self.track, model), last=None)
 
     def forward(self, names: Sequence[str], *, keep: bool = True) -> Pass:
@@ -109,7 +109,7 @@ class Leg:
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """A forward pass, and what a backward one needs.
+    """A forward pass, with the data for a backward pass.
 
     Args:
         leg: that was filtered.

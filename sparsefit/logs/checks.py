@@ -1,4 +1,4 @@
-"""A log before anything is made of it: its rate, gaps and noise in words, and what is refused."""
+"""The quality of a log (rate, gaps, noise), and the refusal of logs unfit for an estimate."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from sparsefit.errors import InputError, positive
 from sparsefit.flight import Flight
 
 GAP = 4.0  # median steps: a polynomial through the samples carries over less
-ONE_STEP = 1e-6  # relative: what is taken for one and the same step
+ONE_STEP = 1e-6  # relative difference of steps that count as equal
 
 
 class LogQuality:
-    """Rate, gaps, extent and noise of a log before anything is made of it.
+    """Rate, gaps, extent and noise of a log.
 
     samples: m; duration: from the first sample to the last [s]; rate: one over the median step
     [Hz]; jitter: rms of the steps about the median one, gaps aside, as a share of it; gaps: steps
     longer than four median ones; longest_gap: [s], 0 where there is none; extent: sides of the
     bounding box (x, y) [m]; speed: rms [m/s]; velocity_measured: whether it was logged, or is that
-    of the positions; frame: ``ENU``, ``NED``, or empty where the log does not say; position_noise:
-    standard deviation [m], NaN where it is not known; velocity_noise: [m/s], likewise.
+    of the positions; frame: ``ENU``, ``NED``, or empty if unknown; position_noise:
+    standard deviation [m], NaN if unknown; velocity_noise: [m/s], likewise.
 
     Args:
         flight: the flight.
-        smoothing: has ``sigma_position`` [m] and ``sigma_velocity`` [m/s], the noise as a smoother
-            finds it.
+        smoothing: the noise levels that a smoother estimated, ``sigma_position`` [m] and
+            ``sigma_velocity`` [m/s].
     """
 
     def __init__(self, flight: Flight, smoothing: Any = None) -> None:
@@ -65,7 +65,7 @@ class LogQuality:
 
 
 def gaps_of(time: Array) -> BoolArray:
-    """Tell which steps (m - 1,) of times (m,) [s] are gaps: longer than `GAP` median ones."""
+    """Mask (m - 1,) of the steps of times (m,) [s] that are gaps: over `GAP` median steps."""
     steps = np.diff(time)
     return np.asarray(steps > GAP * np.median(steps))
 
@@ -82,16 +82,16 @@ def check_log(
     largest: float = math.inf,
     longest_gap: float | None = None,
 ) -> None:
-    """Refuse a log that no estimate should be made of.
+    """Refuse a log that is unfit for an estimate.
 
     Args:
         flight: the flight.
-        smallest, largest: the length scales that will be sought [m].
-        longest_gap: that is allowed [s]; None is 60 s, or 20 steps where they are longer.
+        smallest, largest: the bounds of the length scales to search [m].
+        longest_gap: the longest gap allowed [s]; None: the longer of 60 s and 20 steps.
 
     Raises:
-        InputError: naming the first of these: a long gap, a vehicle that stands still, samples
-            too far apart for what is sought, rows of several vehicles, a velocity of zero.
+        InputError: naming the first of these: a long gap, a vehicle at rest, samples too far apart
+            for the length scales, rows of several vehicles, a velocity of zero throughout.
     """
     steps = np.diff(flight.time)
     row, allowed = int(np.argmax(steps)), max(60.0, 20.0 * float(np.median(steps)))
@@ -102,23 +102,23 @@ def check_log(
             f"a gap of {gap:.4g} s after t={flight.time[row]:.10g} s (row {row}): cut it there, "
             f"or allow a longest gap of {math.ceil(gap)} s"
         )
-    # Who goes no farther in 5 s rests; shorter logs are only short.
+    # A vehicle that moves no farther in 5 s is at rest; shorter logs are only short.
     if not flight.extent or (flight.duration >= 5.0 and flight.extent < smallest):
         raise InputError(
             f"the vehicle stands still: it stays within {flight.extent:.3g} m in "
             f"{flight.duration:.3g} s, and the smallest length scale sought is {smallest:g} m; "
-            "give a log of a flight"
+            "give a log of a flight, or its unit if that is not m"
         )
     apart, *taken = (  # by one row, two, three and four
         float(np.median(np.hypot(*(flight.position[lag:] - flight.position[:-lag]).T)))
         for lag in range(1, min(5, flight.samples - 1))
     )
-    if apart > largest:  # half a period is the least step that tells a wave from another one
+    if apart > largest:  # beyond half a period waves are aliased
         raise InputError(
             f"samples are {apart:.3g} m apart, and the largest length scale sought is {largest:g} m"
             f": no flow of that size shows; raise the grid's bounds (--grid-lower, --grid-upper)"
         )
-    for count, step in enumerate(taken, start=2):  # who takes turns moves little, and is far apart
+    for count, step in enumerate(taken, start=2):  # alternating vehicles: near after `count` rows
         if step < 0.1 * apart:
             raise InputError(
                 f"the rows take turns between {count} tracks, {apart:.3g} m apart: a flight is of "

@@ -1,4 +1,4 @@
-"""Flights in files: ``.csv`` and ``.parquet``, exact both ways; others are read."""
+"""Flights in files: ``.csv`` and ``.parquet`` are written and read exactly, others are read."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import os
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from types import ModuleType
 
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.flight.record import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.logs import csv_file, igc_file, parquet_file, ulog_file
+from sparsefit.logs import csv_file, parquet_file
 from sparsefit.logs.flight_table import FlightTable
 from sparsefit.logs.layout import Layout
+from sparsefit.logs.recorders import decode_igc, decode_ulog
 from sparsefit.whole_file import regular_file, write_whole
 
 LARGEST = 2_000_000_000  # bytes: twice what the most samples take as text
-WRITTEN: dict[str, ModuleType] = {".csv": csv_file, ".parquet": parquet_file}
-TABLES = {**WRITTEN, **dict.fromkeys((".txt", ".tsv", ".dat"), csv_file)}
-FORMATS: dict[str, ModuleType] = {**TABLES, ".ulg": ulog_file, ".igc": igc_file}
+WRITTEN = {".csv": csv_file.encode, ".parquet": parquet_file.encode}
+TABLES = {".csv": csv_file.decode, ".parquet": parquet_file.decode}
+TABLES |= dict.fromkeys((".txt", ".tsv", ".dat"), csv_file.decode)
+FORMATS = {**TABLES, ".ulg": decode_ulog, ".igc": decode_igc}
 
 
 def read_flight(
@@ -33,23 +34,23 @@ def read_flight(
     """Read a flight from a table, a PX4 log (``.ulg``) or an IGC file.
 
     Of a table (``.csv``, ``.parquet``, ``.txt``, ``.tsv``, ``.dat``): columns ``time, x, y, vx,
-    vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; ``ax, ay`` [m/s^2],
-    what the propulsion was measured to push; others are ignored. Without ``vx`` and ``vy`` it has
+    vy`` in any order, in s, m, m/s or the unit behind the name, ``vx [cm/s]``; ``ax, ay``, the
+    acceleration by propulsion [m/s^2]; others are ignored. Without ``vx`` and ``vy`` the log has
     positions only. The vehicle: ``# response_time=``, ``# thrust_ax=``, ``# thrust_ay=`` lines in
-    CSV (0 where one is not given) and the others of `sparsefit.logs.flight_table`, ``frame``
+    CSV (0 where it is missing) and the others of `sparsefit.logs.flight_table`, ``frame``
     (``ENU`` or ``NED``) among them; ``mean_velocity`` and ``length_scale`` of the paper's cells,
     where the true flow is known; the same keys in the metadata of Parquet.
 
     Args:
         path: the file.
         vehicle: used in place of the one in the file.
-        columns: of a table with other columns which of them are read, and their units:
-            ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"``; without a unit that in the header
-            holds. Longitude and latitude, degrees, become metres on a local plane about their
-            middle, x east and y north; times of ISO 8601 become seconds since the first.
-        origin: longitude and latitude [degrees] where x = y = 0 shall be, of a log that has
-            places on the Earth: several logs then have one frame.
-        epoch: ISO time where t = 0 shall be, of a log that has times of a calendar.
+        columns: the columns of a table with other names, and their units:
+            ``"time=t[ms],x=lon,y=lat,vx=u[cm/s],vy=v[cm/s]"``; without a unit, that in the header
+            applies. Longitude and latitude, degrees, become metres on a local plane about their
+            middle, x east and y north; ISO 8601 times become seconds since the first.
+        origin: longitude and latitude [degrees] of x = y = 0, for logs with geographic
+            coordinates: gives several logs one frame.
+        epoch: the ISO time of t = 0, for logs with calendar times: gives several logs one clock.
 
     Raises:
         InputError: naming file, line and column, if it is no flight, or there is no vehicle.
@@ -72,7 +73,7 @@ def read_table(path: str | os.PathLike[str], layout: Layout | None = None) -> Fl
         mapped, suffix = bool(layout.sources), path.suffix.lower()
         formats = TABLES if mapped else FORMATS  # others name their columns themselves
         one_of("file type" + " with columns=" * mapped, suffix or path.name, formats)
-        table: FlightTable = formats[suffix].decode(file, layout)
+        table = formats[suffix](file, layout)
     if layout.epoch is None or table.epoch is None:
         return table
     time = table.columns["time"] + (table.epoch - layout.epoch).total_seconds()
@@ -91,5 +92,4 @@ def write_flight(flight: Flight, path: str | os.PathLike[str], *, overwrite: boo
     one_of("file type", path.suffix.lower() or path.name, WRITTEN)
     if os.path.lexists(path) and not overwrite:
         raise InputError(f"{path} exists; pass overwrite=True or choose another name")
-    encode = WRITTEN[path.suffix.lower()].encode
-    write_whole(path, encode(FlightTable.from_flight(flight)))
+    write_whole(path, WRITTEN[path.suffix.lower()](FlightTable.from_flight(flight)))

@@ -34,23 +34,14 @@ Settings: TypeAlias = tuple[Mapping[str, float], str]
 
 @dataclass(frozen=True)
 class FlightTable:
-    """The columns of a flight, and what its file says beside them.
+    """The columns of a flight, and the settings of its file."""
 
-    Args:
-        columns: `COLUMNS` by name, (m,) each, in SI units.
-        settings: the numbers by key, which may be missing.
-        frame: the axes, a key of `FRAMES`.
-        notes: how a foreign log was read, in words.
-        origin: longitude and latitude of x = y = 0 [degrees], as far as the log says.
-        epoch: the time of t = 0, likewise.
-    """
-
-    columns: dict[str, Array]
-    settings: Mapping[str, float] = field(default_factory=dict)
-    frame: str = ""
-    notes: tuple[str, ...] = ()
-    origin: tuple[float, float] | None = None
-    epoch: datetime | None = None
+    columns: dict[str, Array]  # `COLUMNS` by name, (m,) each, in SI units
+    settings: Mapping[str, float] = field(default_factory=dict)  # the numbers by key
+    frame: str = ""  # the axes, a key of `FRAMES`
+    notes: tuple[str, ...] = ()  # how the file was read, in words
+    origin: tuple[float, float] | None = None  # of x = y = 0, longitude and latitude [degrees]
+    epoch: datetime | None = None  # the time of t = 0, if known
 
     @classmethod
     def from_flight(cls, flight: Flight) -> FlightTable:
@@ -94,13 +85,13 @@ class FlightTable:
 
 
 def settings_of(entries: Iterable[tuple[str, str, str]], *, strict: bool) -> Settings:
-    """Return what a file says by (place, key, text).
+    """Return the settings in a file, from entries (place, key, text).
 
-    strict: unknown keys are refused, and not passed over.
+    strict: whether unknown keys are refused, or ignored.
 
     Raises:
-        InputError: naming the place, on a key that is unknown or stands twice and on a value
-            that is none of its kind.
+        InputError: naming the place, for a key that is unknown or given twice and for a value that
+            is not of its kind.
     """
     settings, frame = dict[str, float](), ""
     for place, key, text in entries:
@@ -131,10 +122,10 @@ def vehicle_of(settings: Mapping[str, float]) -> PointMassVehicle:
 
 
 def number(text: str, place: str) -> float:
-    """Return the finite number that ``text`` is; ``1_000`` is none in a log.
+    """Return the finite number in ``text``; ``1_000`` is refused.
 
     Raises:
-        InputError: naming ``place``, the line and column, where it is no number.
+        InputError: naming ``place``, the line and column, if it is not a finite number.
     """
     try:
         value = math.nan if "_" in text else float(text)

@@ -1,14 +1,15 @@
 """From the columns of a table to a flight: ``time=t,x=lon,vx=u[cm/s]``, SI units, a local plane.
 
 A field is read from the column that a map names, else from the one of its own name, whatever its
-case; ``ax`` and ``ay`` beside a map only where it says so. The unit is that of the map, else the
-one behind the name in the header, ``u [cm/s]`` or ``u (cm/s)``, else the SI unit. Columns that a
-map names and that begin with ``lon`` and ``lat`` are degrees. Times may be ISO 8601: they become
-seconds since the first, UTC where they name no zone.
+case; with a map, ``ax`` and ``ay`` only if it names them. The unit is that of the map, else the one
+behind the name in the header, ``u [cm/s]`` or ``u (cm/s)``, else the SI unit. Columns in a map
+whose names begin with ``lon`` and ``lat`` are degrees. ISO 8601 times become seconds since the
+first, in UTC if they name no zone.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -25,8 +26,9 @@ from sparsefit.logs.plane import plane_of
 
 Cells: TypeAlias = "np.ndarray[Any, Any]"
 """The cells of a column, (m,): numbers, moments (``datetime64``) or texts (objects)."""
+ANGLES = {"deg": 1.0, "rad": math.degrees(1.0), "degE7": 1e-7}
 LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "mi": 1609.344,
-           "nmi": 1852.0, "deg": 1.0}  # fmt: skip
+           "nmi": 1852.0, **ANGLES}  # fmt: skip
 UNITS = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0},
     "x": LENGTHS,
@@ -35,6 +37,9 @@ UNITS = {
           "mph": 0.44704, "kn": 1852.0 / 3600.0},
     "a": {"m/s^2": 1.0, "cm/s^2": 1e-2, "ft/s^2": 0.3048, "g": 9.80665},
 }  # fmt: skip
+SPELLINGS = {"sec": "s", "µs": "us", "μs": "us", "°": "deg", "kt": "kn", "kts": "kn",
+             "knots": "kn", "m s-1": "m/s", "m/s2": "m/s^2", "m/s²": "m/s^2",
+             "m s-2": "m/s^2"}  # fmt: skip
 
 
 class Source(NamedTuple):
@@ -56,17 +61,11 @@ class Source(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """The reading of a table.
+    """The assignment of a table's columns to the fields of a flight."""
 
-    Args:
-        sources: the fields that a column map names.
-        origin: longitude and latitude [degrees] of x = y = 0; None: the middle of the log.
-        epoch: the time of t = 0; None: the first sample.
-    """
-
-    sources: Mapping[str, Source] = field(default_factory=dict)
-    origin: tuple[float, float] | None = None
-    epoch: datetime | None = None
+    sources: Mapping[str, Source] = field(default_factory=dict)  # the fields that a map names
+    origin: tuple[float, float] | None = None  # longitude, latitude [degrees] of x = y = 0
+    epoch: datetime | None = None  # the time of t = 0; None: the first sample
 
     @classmethod
     def of(
@@ -97,7 +96,7 @@ class Layout:
         """Return the sources of all fields that a table with these columns has.
 
         Raises:
-            InputError: where a column is missing or stands twice, or its unit is not known.
+            InputError: if a column is missing or appears twice, or its unit is unknown.
         """
         chosen: dict[str, Source] = {}
         bare = [(heading, Source.of(heading).column) for heading in names]
@@ -114,6 +113,7 @@ class Layout:
                 raise InputError(f"column {headings[0]} appears more than once; keep one of each")
             degrees = mapped and folded.startswith(("lon", "lat"))
             unit = source.unit or Source.of(headings[0]).unit or "deg" * degrees
+            unit = SPELLINGS.get(unit, unit)
             if unit:
                 one_of(f"unit of {name}", unit, UNITS[name[0]])
             chosen[name] = Source(headings[0], unit)
@@ -122,7 +122,7 @@ class Layout:
             header = ascii(", ".join(names)[:200])[1:-1] or "nothing"
             remedy = "rename or add it, or say which it is: --columns time=t,x=lon,..."
             raise InputError(f"no column {', '.join(missing)}; found {header}; {remedy}")
-        if (chosen["x"].unit == "deg") != (chosen["y"].unit == "deg"):
+        if (chosen["x"].unit in ANGLES) != (chosen["y"].unit in ANGLES):
             words = f"x = {chosen['x']}, y = {chosen['y']}"
             raise InputError(f"columns: {words}: both are degrees, or none; say [deg] or [m]")
         return chosen
@@ -137,7 +137,7 @@ class Layout:
 
         Args:
             names: of the columns.
-            read: reads the cells of columns, by name, and what the file says beside them.
+            read: returns the cells of columns, by name, and the settings of the file.
             row: the words for a row, counted from 0, in the file: ``line 7``.
 
         Raises:
@@ -165,7 +165,7 @@ class Layout:
         words = ", ".join(f"{name} = {source}" for name, source in sources.items())
         plain = not self.sources and all(name == str(own) for name, own in sources.items())
         notes = () if plain else (words,)
-        if sources["x"].unit == "deg":
+        if sources["x"].unit in ANGLES:
             headings = sources["x"].column, sources["y"].column
             plane = plane_of(values["x"], values["y"], headings, self.origin)
             frame, origin, notes = "ENU", plane.origin, (*notes, plane.words)

@@ -1,4 +1,4 @@
-"""The model: candidate functions, what their weights say, and the search for shapes of flow."""
+"""The model: candidate functions, parameters from their weights, and the search for flows."""
 
 from sparsefit.model.grid import CANDIDATES, LengthScaleGrid, candidate_columns
 from sparsefit.model.ladder import Proposal, Start, propose

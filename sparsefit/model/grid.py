@@ -1,4 +1,4 @@
-"""The grids of a library, and the columns that they give at positions.
+"""The grids of a library, and the columns of their candidates at positions.
 
 A grid of length scales (Eq. 18) has the candidates of cells (Eq. 17), at each wavenumber k = pi/L
 the single sines and cosines of the phases k x and k y, and their four products. A grid of
@@ -6,12 +6,12 @@ wavevectors over half the plane has the waves of a stream function, u = d psi/dy
 
     psi = sum_j a_j cos theta_j + b_j sin theta_j,    theta_j = k_j . x,
 
-each wave gives two columns, which both velocity components share: rows are x before y of each
+each wave has two columns, shared by both velocity components: rows are x before y of each
 sample. With g = d/d theta of cos and of sin, they are (k_y, -k_x) g(theta). k is in rad/m, a and b
-in m^2/s. The wave of -k is that of k; square cells of length scale L are two waves of |k| =
+in m^2/s. The waves of k and -k are equal; square cells of length scale L are two waves of |k| =
 sqrt(2) pi/L, so a ring of waves is a length scale.
 
-A flight of extent D resolves wavenumbers to about pi/D: a grid may be made for it.
+A flight of extent D resolves wavenumbers to about pi/D; a grid may be adapted to it.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ CANDIDATES = (
     *("sin x", "sin y", "cos x", "cos y"),
     *(f"{x} {y}" for x in ("sin x", "cos x") for y in ("sin y", "cos y")),
 )
-MOST = 2_048  # scales, 16,384 columns whose Z'Z alone is 2 GiB, or waves
-BUILD_ROWS = 64  # of theta at once: they stay in cache
+MOST = 2_048  # scales (16,384 columns, whose Gram matrix takes 2 GiB) or waves
+BUILD_ROWS = 64  # of theta at once, to stay in cache
 
 
 def extent_of(position: Array) -> float:
@@ -54,10 +54,10 @@ def middle(position: Array) -> Array:
 class LengthScaleGrid:
     """The candidate length scales (Eq. 18), ascending [m].
 
-    Uniform in length scale, L_lb, L_lb + dL, ..., L_ub (the paper's 1...12 m by 0.2 m is the
-    default), or uniform in wavenumber k = pi/L with ``count`` scales between the same bounds, or
-    with spacing ``flight``: `resolving` the extent of the flight, at ``fraction`` of its lobe.
-    Raises InputError on settings that are out of range or do not belong together, and on more
+    Uniform in length scale, L_lb, L_lb + dL, ..., L_ub (default: the paper's 1...12 m by 0.2 m),
+    or uniform in wavenumber k = pi/L with ``count`` scales between the same bounds, or with
+    spacing ``flight``: uniform in k with a step of ``fraction`` of the flight's resolution.
+    Raises InputError for settings that are out of range or contradict each other, and for more
     than 2048 scales.
     """
 
@@ -94,10 +94,10 @@ class LengthScaleGrid:
             raise InputError(f"grid: {problem}")
 
     def resolving(self, extent: float) -> LengthScaleGrid:
-        """This grid for a flight of that extent [m]: itself, or with spacing ``flight`` its own.
+        """This grid for a flight of that extent [m]; another one only with spacing ``flight``.
 
-        The residual as a function of k has lobes of width 2 pi / extent: the default fraction of
-        it puts four candidates in every lobe.
+        The residual as a function of k has lobes of width 2 pi / extent: the default fraction
+        puts four candidates into every lobe.
         """
         if self.spacing != "flight":
             return self
@@ -108,12 +108,12 @@ class LengthScaleGrid:
 
     @property
     def size(self) -> int:
-        """Number of length scales. Raises InputError where only a flight can tell it."""
+        """The number of length scales. Raises InputError with spacing ``flight``."""
         if self.spacing == "flight":
             raise InputError("grid: spacing 'flight' has scales of its own for every flight")
         if self.count is not None:
             return self.count
-        # A hair of tolerance: (12 - 1)/0.2 is 54.99999999999999 in binary.
+        # (12 - 1)/0.2 is 54.99999999999999 in binary, hence 1e-9.
         return int(min((self.upper - self.lower) / (self.step or 0.2), 1e15) + 1e-9) + 1
 
     @cached_property
@@ -129,24 +129,24 @@ class LengthScaleGrid:
 
 
 def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArray, Array]:
-    """The rings between two length scales [m] for a flight of that extent [m].
+    """The rings of waves between two length scales [m] for a flight of that extent [m].
 
     Returns wavevectors (w, 2) [rad/m], ring by ring, the ring of each (w,), and the length scale of
-    each ring (g,) [m], ascending. Rings, and the waves of a ring, are a lobe, pi / extent, apart.
+    each ring (g,) [m], ascending. Rings, and the waves of a ring, are pi / extent apart.
 
     Raises:
-        InputError: if the flight does not move, or resolves more than 2048 waves.
+        InputError: if the extent is 0, or more than 2048 waves are resolved.
     """
     if not extent > 0:
         raise InputError("the flight does not move: no wave can be told; fly farther")
     least, largest = (math.sqrt(2.0) * math.pi / scale for scale in (upper, lower))
     apart = math.pi / extent
-    # Before any ring is made: the half ring of area pi (b^2 - a^2)/2, at one wave a square.
+    # An estimate first: the area pi (b^2 - a^2)/2 of the half ring over that of a grid cell.
     about = 0.5 * math.pi * (largest**2 - least**2) / apart**2
     if about <= 2 * MOST:
         count = math.ceil((largest - least) / apart * (1 - 1e-12)) + 1
         sizes = np.linspace(largest, least, count)
-        # Two at least: cells are two waves.
+        # At least two: cells are two waves.
         waves = np.maximum(np.ceil(math.pi * sizes / apart * (1 - 1e-12)), 2).astype(int)
         about = float(waves.sum())
     if about > MOST:
@@ -157,7 +157,7 @@ def wave_rings(lower: float, upper: float, extent: float) -> tuple[Array, IntArr
         )
     ring = np.repeat(np.arange(count), waves)
     place = np.arange(len(ring)) - np.repeat(np.cumsum(waves) - waves, waves)
-    # Every other ring is half a step on, so that no direction is favoured.
+    # Every other ring is shifted by half a step, so that no direction is favoured.
     angle = math.pi * (place + 0.5 * (ring % 2)) / waves[ring]
     wavevectors = sizes[ring][:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return wavevectors, ring, math.sqrt(2.0) * math.pi / sizes
@@ -170,7 +170,7 @@ def sines_and_cosines(phase: Array) -> tuple[Array, Array]:
 
         sin = 2 t / (1 + t^2),   cos = 2 / (1 + t^2) - 1,
 
-    one transcendental function instead of two, and the one that numpy evaluates side by side.
+    one transcendental function instead of two, and one that NumPy vectorises.
     """
     half = np.tan(0.5 * phase)
     share = 2.0 / (1.0 + half * half)

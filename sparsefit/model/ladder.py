@@ -1,13 +1,13 @@
-"""The ladder of shapes: flows that flights bear out, as starts for the likelihood that measures.
+"""The ladder of shapes: flows proposed to the likelihood, which starts from them.
 
-From where scans show waves (`sparsefit.model.search`) shapes are fitted to the rows
-(`sparsefit.model.shapes`), and around the best of them freer and simpler ones. With n rows worth
-counting and p parameters,
+From the peaks of scans (`sparsefit.model.search`) shapes are fitted to the rows
+(`sparsefit.model.shapes`), and around the best of them shapes with more and fewer parameters. With
+n effective rows and p parameters,
 
     BIC = n ln RSS + p ln n,
 
-orders them (Schwarz, 1978). All steps are bounded in number. Precision, and the choice among what
-is close, are the likelihood's. Shares below are of |Phi|^2.
+orders them (Schwarz, 1978). All steps are bounded in number. The likelihood refines the parameters
+and chooses among proposals with similar BIC. Shares below are of |Phi|^2.
 """
 
 from __future__ import annotations
@@ -40,48 +40,48 @@ from sparsefit.model.shapes import (
     read_cells,
 )
 
-CLOSE = 10.0  # of BIC, to the best of all: a rival
-STAND = (AXIS, SQUARE, RECTANGLE)  # cells, the simplest first
-Window = tuple[float, float, float]  # the wavenumber of a candidate, from where, and to where
+CLOSE = 10.0  # difference of BIC to the best: a rival
+STAND = (AXIS, SQUARE, RECTANGLE)  # steady cells, the simplest first
+Window = tuple[float, float, float]  # a candidate's wavenumber and the bounds around it [1/m]
 
 
 @dataclass(frozen=True)
 class Start:
-    """The proposals of a back-end's weights, hashable: equal ones lead to equal answers."""
+    """The start of a search that a back-end's weights propose; hashable, for caching."""
 
     refine: str = "ladder"  # or "variable-projection"
-    lobe: float = 0.0  # wavenumber [1/m] of the scan's, nearest to a candidate scale; 0: none
+    lobe: float = 0.0  # the scan's wavenumber [1/m] nearest to a candidate scale; 0: none
     windows: tuple[Window, ...] = ()  # of several length scales, strongest first
     waves: tuple[tuple[float, float], ...] = ()  # k [rad/m] of a wave library, strongest first
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A flow that the rows bear out: psi = sum a cos(phi) + b sin(phi), phi = k.(x - c t)."""
+    """A flow fitted to the rows: psi = sum a cos(phi) + b sin(phi), phi = k.(x - c t)."""
 
     shape: str  # axis, square, rectangle, pair or several
     wavevectors: Array  # k (j, 2) [rad/m]
     cosine: Array  # a (j,) [m^2/s], in the flight's own coordinates and time
     sine: Array  # b (j,) [m^2/s]
-    velocity: Pair | None  # c [m/s]; None: it stands
+    velocity: Pair | None  # c [m/s]; None: steady
     residual: float  # RSS of the rows over |Phi|^2
     bic: float  # n ln RSS + p ln n
-    vehicles: tuple[PointMassVehicle, ...]  # of each flight, with its unknowns as the rows say
-    background: Pair = (0.0, 0.0)  # the steady uniform velocity beside the flow [m/s]
+    vehicles: tuple[PointMassVehicle, ...]  # of each flight, its unknowns as fitted
+    background: Pair = (0.0, 0.0)  # velocity of the air beside the flow [m/s]
 
     def lobe(self, extent: float) -> tuple[str, bytes]:
-        """A key that proposals share whose phases differ by some 1e-6 over an extent [m]."""
+        """A key that is equal for proposals whose phases agree to about 1e-6 over an extent [m]."""
         phases = np.append(self.wavevectors * extent, self.velocity or ())
         return self.shape, (np.round(phases, 6) + 0.0).tobytes()
 
     @property
     def cells(self) -> WaveCells:
-        """U0 and L of the cells that it is."""
+        """U0 and L of its cells."""
         return read_cells(self.wavevectors, np.column_stack([self.cosine, self.sine]))
 
 
 class Ladder:
-    """One climb: the shapes that were fitted so far, and those that were looked around."""
+    """The state of one search: the shapes fitted so far, and those whose neighbours were tried."""
 
     def __init__(self, search: Search) -> None:
         self.search, self.rows = search, search.rows
@@ -95,12 +95,12 @@ class Ladder:
 
     @property
     def done(self) -> bool:
-        """Whether what is left is noise, or the gusts or the vehicle that leave less than 5 %."""
+        """Whether the residual is noise, or at most 5 % (gusts, or a wrong vehicle)."""
         here = self.best
         return here.residual <= 0.05 * self.rows.square or self.search.quiet(here.rest)
 
     def descend(self, shape: Shape, q: Array) -> ShapeFit | None:
-        """The fit of a shape from q (p,); None where its kind has better ones or it is no flow."""
+        """The fit of a shape from q (p,); None if implausible, or worse than another of it."""
         alike = [fit.residual for fit in self.tried if fit.shape == shape]
         goal = min(alike, default=math.inf) * math.exp(CLOSE / self.search.worth)
         fit = descended(self.rows, shape, q, goal=goal)
@@ -110,20 +110,20 @@ class Ladder:
         return fit
 
     def nearest(self, phases: Array, *shapes: Shape) -> None:
-        """Try shapes, each from where it comes nearest to waves (2, 3)."""
+        """Fit shapes, each from its parameters nearest to waves (2, 3)."""
         for shape in shapes:
             self.descend(shape, shape.nearest(phases))
 
     def lines(self, candidate: float) -> None:
-        """Square cells along the axes, from the deepest lobes, and the one of a candidate."""
+        """Fit square cells along the axes, from the deepest lobes and the lobe of a candidate."""
         lobes = self.search.lobes
         for k in dict.fromkeys([*lobes[:5].tolist(), candidate or float(lobes[0])]):
             self.descend(AXIS, np.array([k]))
-        if not self.tried:  # nothing in reach: the deepest lobe as it is
+        if not self.tried:  # no plausible fit: the deepest lobe as it is
             self.tried.append(fitted(self.rows, AXIS, lobes[:1]))
 
     def climb(self, proposed: Array) -> None:
-        """All shapes, from what is there, from proposed waves (p, 2), and from the plane."""
+        """Fit all shapes, from the best so far, proposed waves (p, 2) and scans of the plane."""
         if self.done or self.best.residual <= 0.3 * self.rows.square:
             self.around()
         if len(proposed) and not self.done:
@@ -131,7 +131,7 @@ class Ladder:
             self.around()
         fastest = 0.6 * math.sqrt(2 * float(np.mean(np.sum(self.rows.rest**2, axis=1))))
         moving = partial(self.squares, fastest)
-        for look in (self.squares, moving, self.pairs, self.several):
+        for look in (self.squares, moving, self.pairs, self.beside, self.several):
             if self.done:
                 break
             look()
@@ -139,8 +139,8 @@ class Ladder:
         self.instead()
 
     def around(self) -> None:
-        """Every shape of two waves from the best one, where one could have a lower BIC."""
-        price = self.search.worth ** (1 / self.search.worth)  # of RSS, for a parameter more
+        """Fit every shape of two waves from the best one, if any could have a lower BIC."""
+        price = self.search.worth ** (1 / self.search.worth)  # the ratio of RSS per parameter
         least = EXACT * self.rows.square
         for _ in range(4):
             here = self.best
@@ -162,9 +162,9 @@ class Ladder:
                 return
 
     def squares(self, fastest: float = 0.0) -> None:
-        """Square cells from the plane, from pieces of the track to the whole.
+        """Fit square cells from a scan of the plane, from pieces of the track to the whole.
 
-        Their waves are k and its clockwise turn (k_y, -k_x); they move at up to fastest [m/s].
+        Their waves are k and (k_y, -k_x), a quarter turn clockwise; each moves at up to fastest.
         """
         rows, scan, shape = self.rows, self.search.scan, SQUARE
         if fastest:
@@ -184,7 +184,7 @@ class Ladder:
                 break
 
     def pairs(self) -> None:
-        """Any two waves that stand: the strongest, and the strongest beside it."""
+        """Fit any two steady waves: the strongest, and the strongest in its residual."""
         wave, scan = free_waves(1), self.search.scan
         for first in self.search.strong(self.rows.rest, 1):
             assert scan is not None
@@ -192,8 +192,15 @@ class Ladder:
             for second in self.search.strong(alone.rest, 2):
                 self.descend(PAIR, np.concatenate([alone.q, second]))
 
+    def beside(self) -> None:
+        """Try square cells along the axes of two length scales: the best, and in its residual."""
+        fits = sorted((fit for fit in self.tried if fit.shape == AXIS), key=self.search.bic)
+        for first in fits[:1]:
+            for k in self.search.line(first.rest)[:3]:
+                self.descend(axis_cells(2), np.append(first.q, k))
+
     def several(self) -> None:
-        """Up to four waves, one by one, from what the best leaves, moving or standing."""
+        """Add waves one by one, up to four, from the residual of the best fits."""
         standing = [fit for fit in self.tried if not fit.shape.drifting]
         starts = [self.best, min(standing, key=self.search.bic)]
         for here in starts[: 1 + self.best.shape.drifting]:
@@ -205,7 +212,7 @@ class Ladder:
                 here = there
 
     def with_waves(self, here: ShapeFit, waves: Array) -> ShapeFit | None:
-        """Waves k (j, 2) moved together; None where BIC does not fall, or two nearly cancel."""
+        """The fit of waves k (j, 2); None if BIC does not fall, or two waves nearly cancel."""
         motion = here.q[-2:] if here.shape.drifting else np.zeros(0)
         shape = free_waves(len(waves), drifting=here.shape.drifting)
         fit = descended(self.rows, shape, np.concatenate([waves.ravel(), motion]))
@@ -215,11 +222,11 @@ class Ladder:
         return fit
 
     def join(self, proposed: Array) -> None:
-        """Waves that a back-end proposes (p, 2), joined one by one where BIC falls."""
+        """Add the waves that a back-end proposes (p, 2) one by one where BIC falls."""
         here = fitted(self.rows, free_waves(0), np.zeros(0))
         for wave in proposed:
             there = self.with_waves(here, np.vstack([here.phases[:, :2], wave]))
-            while there is not None:  # the weakest leave where what is left does without
+            while there is not None:  # remove the weakest while BIC falls
                 here = there
                 weakest = int(np.argmin(here.strengths))
                 fewer = np.delete(here.phases[:, :2], weakest, axis=0)
@@ -228,7 +235,7 @@ class Ladder:
             self.nearest(here.phases[np.argsort(-here.strengths)[:2]], SQUARE, RECTANGLE)
 
     def instead(self) -> None:
-        """Other places for either wave of the best pair, which may fit a track as well."""
+        """Try other wavevectors for either wave of the best pair."""
         here = self.best
         if here.shape.name != PAIR.name or not self.search.quiet(here.rest):
             return
@@ -240,7 +247,7 @@ class Ladder:
                 self.nearest(phases, here.shape)
 
     def length_scales(self, windows: Sequence[Window]) -> None:
-        """Cells along the axes of several length scales, one from each window where BIC falls."""
+        """Fit cells along the axes of several length scales, one per window while BIC falls."""
         here, unused = fitted(self.rows, free_waves(0), np.zeros(0)), list(windows)
         apart = math.pi / self.search.extent  # half a lobe
         while unused:
@@ -262,21 +269,21 @@ class Ladder:
         if not len(here.q):
             here = descended(self.rows, AXIS, np.array([windows[0][0]]))
         speeds = np.hypot(*here.strengths.reshape(-1, 2).T)
-        fast = speeds >= 0.05 * speeds.max()  # systematic errors of a derivative are 2 %
+        fast = speeds >= 0.05 * speeds.max()  # systematic errors of derivatives are 2 %
         if not fast.all():
             here = descended(self.rows, axis_cells(int(fast.sum())), here.q[fast])
         self.tried.append(here)
 
     def ranked(self) -> list[tuple[ShapeFit, float]]:
-        """The best fit of every shape, and rivals close to the best of all, with BIC, in order.
+        """The best fit of every shape, and rivals of the best one, with their BIC, in order.
 
-        Where more than noise is left rows count for less: as many as white errors of the highest
-        power in the residual's spectrum would be. Fits of one shape in one lobe are one.
+        If the residual is more than noise the number of effective rows is reduced, by the ratio of
+        the mean to the highest power of its spectrum. Of fits of a shape in one lobe one is kept.
         """
         worth, rest, near = self.search.worth, self.best.rest, 0.3 * self.rows.reach()
         if not self.search.quiet(rest):
             power = np.cumsum(np.concatenate([[0.0], spectrum(rest)]))
-            bins = min(16, len(power) - 1)  # averaged: the level is then known to 18 %
+            bins = min(16, len(power) - 1)  # averaged, to 18 % each
             highest = float((power[bins:] - power[:-bins]).max()) / bins
             worth = min(worth, 2 * len(rest) * float(power[-1] / (len(power) - 1)) / highest)
         fits = [(fit, self.search.bic(fit, worth)) for fit in self.tried]
@@ -285,7 +292,7 @@ class Ladder:
         for fit, bic in fits:
             others = [other for other, _ in ranked if other.shape == fit.shape]
             alike = False
-            for other in others:  # all waves near those of another, of either sign
+            for other in others:  # all waves near to those of another, up to sign
                 signed = np.array([-1.0, 1.0])[:, None, None, None] * other.phases
                 close = (np.abs(fit.phases[:, None] - signed) < near).all(axis=3)
                 alike |= bool(np.any(close, axis=(0, 2)).all())
@@ -296,7 +303,7 @@ class Ladder:
 
 
 def propose(search: Search, start: Start) -> tuple[Proposal, ...]:
-    """The flows that the rows bear out, best first, rivals included; none where none is."""
+    """The flows that explain the rows, best first, rivals included; empty if none does."""
     ladder = Ladder(search)
     if start.windows:
         ladder.length_scales(start.windows)
@@ -311,14 +318,29 @@ def propose(search: Search, start: Start) -> tuple[Proposal, ...]:
             ladder.join(np.array(start.waves))
     if not ladder.tried:
         return ()
-    proposals = []
-    for fit, bic in ladder.ranked():
-        vehicles, uniform, ratio = read_vehicles(search.unknowns, fit.coefficients)
-        shift = fit.phases * (1.0, 1.0, -1.0) @ search.origin  # to the flight's own coordinates
-        a = fit.weights[::2] - 1j * fit.weights[1::2]
-        a = a * np.exp(-1j * shift) / ratio
-        velocity = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else None
-        waves = fit.phases[:, :2], a.real, -a.imag, velocity
-        share = fit.residual / search.rows.square
-        proposals.append(Proposal(fit.shape.name, *waves, share, bic, vehicles, uniform))
-    return tuple(proposals)
+    return tuple(_proposal(search, fit, bic) for fit, bic in ladder.ranked())
+
+
+def proposed_at(search: Search, other: Proposal, phases: Array) -> Proposal | None:
+    """The proposal of waves (k_x, k_y, omega) (j, 3) in the shape of another proposal.
+
+    None if the rows exclude it: if its residual is larger by `CLOSE` of BIC, or it is no flow.
+    """
+    named = {own.name: own for own in (*STAND, PAIR)}
+    shape = named.get(other.shape, free_waves(len(phases)))
+    shape = shape.moving if other.velocity else shape
+    fit = fitted(search.rows, shape, shape.nearest(phases))
+    most = other.residual * search.rows.square * math.exp(CLOSE / search.worth)
+    near = fit.residual <= most and search.possible(fit)
+    return _proposal(search, fit, search.bic(fit)) if near else None
+
+
+def _proposal(search: Search, fit: ShapeFit, bic: float) -> Proposal:
+    """The flow of a fit in the flight's coordinates and time."""
+    vehicles, uniform, ratio = read_vehicles(search.unknowns, fit.coefficients)
+    shift = fit.phases * (1.0, 1.0, -1.0) @ search.origin
+    a = (fit.weights[::2] - 1j * fit.weights[1::2]) * np.exp(-1j * shift) / ratio
+    velocity = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else None
+    waves = fit.phases[:, :2], a.real, -a.imag, velocity
+    share = fit.residual / search.rows.square
+    return Proposal(fit.shape.name, *waves, share, bic, vehicles, uniform)

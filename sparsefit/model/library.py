@@ -1,4 +1,4 @@
-"""Candidate functions over a grid, unknowns beside the flow, and the regression problem they make.
+"""Candidate functions over a grid, columns of unknown parameters, and their regression problem.
 
 Two families of candidates: the paper's cells (Eqs. 17-19), for every length scale L the 8 products
 and singles of sin and cos of pi x / L and pi y / L, with weights for each velocity component; and
@@ -6,16 +6,16 @@ and singles of sin and cos of pi x / L and pi y / L, with weights for each veloc
 among them. Both components share the weights of a wave: theta has a row for each, x before y,
 sample after sample.
 
-With the parameters tau_0, a_0 that the vehicle is believed to have, Phi_0 = tau_0 (v' - a_0) + v,
+With the assumed parameters tau_0, a_0 of the vehicle, Phi_0 = tau_0 (v' - a_0) + v,
 and v' = (C W + wind - v)/tau + a gives
 
     Phi_0 = (tau_0/tau) C W + (1 - tau_0/tau) v + [tau_0 (a - a_0) + (tau_0/tau) wind]:
 
-linear in a coefficient of v and a constant per component. Of a measured thrust m(t) that is scaled
-by s, believed to be s_0, one column more: tau_0 (s - s_0) m. Where drag is quadratic only, Phi_0 =
+linear in a coefficient of v and a constant per component. A measured thrust m(t) with the scale s,
+assumed to be s_0, adds a column: tau_0 (s - s_0) m. If drag is quadratic only, Phi_0 =
 v + r_0 with c_0 |r_0| r_0 = v' - a, and w = v + r_0 sqrt(c_0/c): linear in v with sqrt(c/c_0) in
 the place of tau_0/tau. These columns N join the regression without a penalty: minimising over them
-first leaves a problem in (I - P_N) C and (I - P_N) Phi_0 (Frisch and Waugh, 1933; Lovell, 1963).
+first gives a problem in (I - P_N) C and (I - P_N) Phi_0 (Frisch and Waugh, 1933; Lovell, 1963).
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ TARGET_NAMES: dict[str, tuple[str, ...]] = {
     "acceleration": ("dv_x/dt", "dv_y/dt"),
     "state-derivative": ("dx/dt", "dy/dt", "dv_x/dt", "dv_y/dt"),
 }
-STREAM_BYTES = 2**30  # beyond this, theta is compressed as it is built
+STREAM_BYTES = 2**30  # a larger theta is compressed as it is built
 BLOCK = 1024  # rows of it at once
 
 
 @dataclass(frozen=True)
 class UnknownColumns:
-    """The columns of the unknowns: coefficients of v and of m, and a constant per component.
+    """The columns of the unknown parameters: v, m, and a constant per component.
 
-    Raises InputError where the drag of the believed vehicle does not let it be sought.
+    Raises InputError if an unknown is not linear under the drag law of the assumed vehicle.
     """
 
     unknown: tuple[str, ...]
@@ -82,13 +82,13 @@ class UnknownColumns:
 
     @property
     def scaled(self) -> bool:
-        """Whether v has a column: tau or c is unknown."""
+        """Whether v is a column: tau or c is unknown."""
         return bool({"response_time", "drag"} & set(self.unknown))
 
     def columns(self, source: Samples) -> Array:
-        """N (m, 2, p) of rows with velocities (m, 2): of v, of m, then of a constant in x and in y.
+        """N (m, 2, p) of m rows: v, the measured thrust, then a constant in x and in y.
 
-        Raises InputError where the scale of a thrust is unknown that was not measured.
+        Raises InputError if the scale of a thrust is unknown that was not measured.
         """
         columns = [source.velocity] if self.scaled else []
         if "thrust_scale" in self.unknown:
@@ -105,9 +105,8 @@ class UnknownColumns:
     def basis(self, source: Samples, *, shared: bool) -> Array:
         """An orthonormal basis (2 m, r) of the span of N, or (m, r) of its series.
 
-        shared: whether both components share their coefficients, rows x before y of each sample.
-        A back-end whose components have weights of their own shares one theta between them, and
-        so each has coefficients of its own, of v_x and of v_y.
+        shared: whether both components share coefficients (waves), with rows x before y of each
+        sample, or have separate weights on one theta (cells).
         """
         columns = self.columns(source)
         rows = columns.reshape(2 * len(columns), -1)
@@ -120,10 +119,10 @@ class UnknownColumns:
         return basis
 
     def read(self, coefficients: Array) -> tuple[PointMassVehicle, Pair, float]:
-        """The vehicle, the wind and tau_0/tau by coefficients (p,).
+        """The vehicle, the wind and tau_0/tau from coefficients (p,).
 
-        The ratio, by which Phi of the believed vehicle is larger, is sqrt(c/c_0) where drag is
-        quadratic; NaN, beside the believed vehicle, where coefficients say what cannot be.
+        The ratio, by which Phi of the assumed vehicle is too large, is sqrt(c/c_0) for quadratic
+        drag; it is NaN, and the vehicle the assumed one, if the coefficients are not physical.
         """
         vehicle, tau = self.believed, self.believed.response_time
         ratio = 1.0 - float(coefficients[0]) if self.scaled else 1.0
@@ -146,7 +145,7 @@ class UnknownColumns:
 
 
 def side_by_side(parts: Sequence[UnknownColumns], sources: Sequence[Samples]) -> Array:
-    """N (m, 2, f p) of the rows of f flights, those of each beside those of the others."""
+    """The block-diagonal N (m, 2, f p) of the rows of f flights."""
     own = [part.columns(source) for part, source in zip(parts, sources, strict=True)]
     flight = np.repeat(np.eye(len(own)), [len(columns) for columns in own], axis=0)
     columns = flight[:, None, :, None] * np.concatenate(own)[:, :, None]
@@ -158,7 +157,7 @@ def read_vehicles(
 ) -> tuple[tuple[PointMassVehicle, ...], Pair, float]:
     """The vehicle of each flight from coefficients (f p,), the first wind, and the mean tau_0/tau.
 
-    A vehicle that cannot be is as it was believed.
+    A vehicle that is not physical is replaced by the assumed one.
     """
     shares = np.array_split(coefficients, len(parts))
     reads = [part.read(share) for part, share in zip(parts, shares, strict=True)]
@@ -170,11 +169,11 @@ def read_vehicles(
 def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:
     """(I - Q Q') theta and target, Q (m, r) orthonormal.
 
-    Raises InputError where a candidate is a combination of Q.
+    Raises InputError if a candidate is in the span of Q.
     """
     squares = np.einsum("ij,ij->j", theta, theta)
     theta = theta - basis @ (basis.T @ theta)
-    if (np.einsum("ij,ij->j", theta, theta) <= 1e-18 * squares).any():  # what is left is rounding
+    if (np.einsum("ij,ij->j", theta, theta) <= 1e-18 * squares).any():  # the rest is rounding
         words = "the flight is too straight to tell what is unknown; turn, or give the vehicle"
         raise InputError(f"a candidate is a combination of the velocity and a constant: {words}")
     return theta, target - basis @ (basis.T @ target)
@@ -182,18 +181,18 @@ def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array
 
 @dataclass(frozen=True)
 class Library:
-    """The library builder: candidates of a family over a grid, and what they are regressed on.
+    """The library builder: candidates of a family over a grid, and the target of the regression.
 
     ``target``: ``flow-velocity`` Phi = tau (v' - a) + v (Eq. 23), ``acceleration`` v', or
     ``state-derivative`` (x', v'), the literal reading of Eq. 20.
-    ``unknown``: what is estimated with the flow, of `sparsefit.model.library.UNKNOWNS`; the rest
-    is as the vehicle says, and the air at rest but for the flow.
-    ``family``: ``cells`` or ``waves``. Waves have one weight for both velocity components, and
-    their one target is the flow velocity.
+    ``unknown``: the parameters estimated with the flow, of `sparsefit.model.library.UNKNOWNS`; the
+    others are those of the vehicle, without wind.
+    ``family``: ``cells`` or ``waves``. Waves have one weight for both velocity components, and only
+    the flow velocity as target.
     ``groups`` of waves, between the length scales of ``grid``: each ``wave``, or ``nested``: waves
-    within the ring of waves of one |k|, which is a length scale, for penalties of groups in groups.
-    ``every``: rows are every so many-th sample, where a smoothed flight has more than it has to
-    say; the search and the measurement still take all. Raises InputError on settings out of range.
+    within rings of one |k|, which is a length scale, for penalties of nested groups.
+    ``every``: rows are every n-th sample, as the samples of a smoothed flight are redundant; the
+    search and the likelihood still use all. Raises InputError for settings out of range.
     """
 
     grid: LengthScaleGrid = LengthScaleGrid()
@@ -212,7 +211,9 @@ class Library:
             one_of("parameter of the vehicle", name, UNKNOWNS)
         unknown = tuple(name for name in UNKNOWNS if name in self.unknown)
         problem, other = "", self.target != "flow-velocity"
-        if self.family == "waves" and other:
+        if not isinstance(self.grid, LengthScaleGrid):
+            problem = f"grid must be a LengthScaleGrid, not a {type(self.grid).__name__}"
+        elif self.family == "waves" and other:
             problem = f"target {self.target!r} needs family 'cells': waves give the flow velocity"
         elif self.family == "cells" and self.groups != "wave":
             problem = "'groups' is a setting of family 'waves', not of 'cells'; leave it out"
@@ -238,7 +239,7 @@ class Library:
         return np.hstack([samples.position_rate, samples.acceleration])
 
     def _columns(self, extent: float) -> dict[str, Any]:
-        """The columns that the grid gives a flight of that extent [m], as a problem has them."""
+        """The columns of the grid for a flight of that extent [m], as fields of a problem."""
         if self.family == "cells":
             scales = self.grid.resolving(extent).scales
             return {
@@ -268,10 +269,10 @@ class Library:
     ) -> RegressionProblem:
         """The regression problem of flights through one flow, the rows of each times its weight.
 
-        Theta is (m, 8 g), group-major, of cells; of waves it has two rows a sample, x and y, and
-        one column of the target. Gram matrices add up. What is unknown of a flight is taken from
-        its own rows. Where theta would exceed 1 GiB it is compressed block by block
-        (`problem.compressed`): the same solutions and certificates, memory of k^2.
+        Theta is (m, 8 g), group-major, for cells; for waves it has two rows a sample, x and y, and
+        one target. The columns of a flight's unknowns are projected out of its rows. A theta of
+        more than 1 GiB is compressed block by block (`problem.compressed`): equal solutions and
+        certificates in memory of k^2.
         """
         position = np.concatenate([samples.position for samples in flights])
         for axis, values in zip("xy", position.T, strict=True):

@@ -1,6 +1,6 @@
-"""Parameters read from weights: the length scale (Eq. 21), the mean velocity (Eqs. 22-24).
+"""Parameters from regression weights: the length scale (Eq. 21), the mean velocity (Eqs. 22-24).
 
-On the grid these are the answer; off the grid they say where the search starts.
+With ``refine = "none"`` these are the estimate, otherwise the start of the search.
 """
 
 from __future__ import annotations
@@ -25,29 +25,28 @@ from sparsefit.model.shapes import WaveCells, read_cells
 from sparsefit.regression.fit import Fit
 from sparsefit.rows import Samples
 
-UNNAMED = "variable-projection"  # what a file that names no refinement has always meant
-MOST_WAVES = 12  # that are read
+UNNAMED = "variable-projection"  # the refinement of files that name none
+MOST_WAVES = 12  # peaks of a library of waves
 
 
 @dataclass(frozen=True)
 class Readout:
-    """The way from weights to parameters.
+    """The rules that determine parameters from weights.
 
     length_scale: the scale with the largest sum of weights (``signed-sum``, Eq. 21 to the
     letter), of their absolute values (``absolute-sum``) or the largest Euclidean norm of its
     block (``group-norm``).
-    mean_velocity, after a refit on the 8 columns of that scale: ``paper`` (Eqs. 22-24, whose last
-    step is read as the mean of element-wise ratios, ``mean-ratio``, which has poles, or as the
+    mean_velocity, after a refit on the 8 columns of that scale: ``paper`` (Eqs. 22-24; Eq. 24 by
+    ``eq24`` as the mean of element-wise ratios, ``mean-ratio``, which has poles, or as the
     least-squares coefficient, ``pseudo-inverse``) or ``rms`` over the cell in closed form.
     refine: ``variable-projection`` moves the chosen scale off the grid, to the steady square cells
-    along the axes that fit best between the grid's bounds; ``ladder``, the default, goes on from
-    there to the shapes of an incompressible flow, cells at any heading, of any sides, steady or
-    drifting, and lets the flight choose (`sparsefit.model.search`). ``none`` reports the candidate
-    itself. Files that name no refinement mean ``variable-projection``.
-    scales: ``one`` reads one length scale; ``several`` reads all that the back-end proposes and the
-    flight bears out, each with its ``rms``. Its peaks are those of the Euclidean norm always.
-    precision: the largest half-width of the 95 % intervals of U0, L and tau_w, as a share of the
-    value, that is still called ``ok``; at 0.03 a value is off by 5 % once in a thousand flights.
+    along the axes that fit best between the grid's bounds; ``ladder``, the default, also fits
+    cells at any heading, of any sides, steady or drifting, and chooses among them by likelihood.
+    ``none`` reports the candidate itself. Files without ``refine`` mean ``variable-projection``.
+    scales: ``one`` length scale; or ``several``, all that the back-end proposes and the rows
+    support, each with its ``rms``, at the peaks of the Euclidean norm.
+    precision: the largest relative half-width of the 95 % intervals of U0, L and tau_w for the
+    status ``ok``; at 0.03 a value is off by 5 % once in a thousand flights.
     """
 
     length_scale: Literal["signed-sum", "absolute-sum", "group-norm"] = "group-norm"
@@ -67,7 +66,7 @@ class Readout:
             raise InputError(f"readout: {words}: it cannot part several; use 'rms'")
 
     def by_scale(self, fit: Fit, library: Library) -> dict[float, float]:
-        """The weight of each length scale [m]: of waves the norm of their strengths [m/s]."""
+        """The weight of each length scale [m]; of waves the norm of their strengths [m/s]."""
         rows, rule, group_scales = fit.weights, self.length_scale, fit.problem.group_scales
         assert group_scales is not None
         if library.family == "waves":
@@ -80,7 +79,7 @@ class Readout:
         return dict(zip(scales.tolist(), total.tolist(), strict=True))
 
     def start(self, search: Search, fit: Fit, library: Library) -> Start:
-        """The start of a search that the weights of a fit propose."""
+        """The start of the search proposed by the weights of a fit."""
         if library.family == "waves":
             peaks = wave_peaks(*_waves_of(fit), search.extent, MOST_WAVES)[1].tolist()
             return Start(self.refine, waves=tuple((x, y) for x, y in peaks))
@@ -106,7 +105,7 @@ def windows(fit: Fit, lobe: float, bounds: Bounds) -> tuple[Window, ...]:
     order = np.argsort(-scales, kind="stable")
     k, strength = math.pi / scales[order], np.sqrt(squares[order])
     below, above = k - lobe, k + lobe
-    top = strength > 0.02 * strength.max()  # what is smaller proposes nothing
+    top = strength > 0.02 * strength.max()  # weaker groups are ignored
     below[1:], above[:-1] = np.minimum(below[1:], k[:-1]), np.maximum(above[:-1], k[1:])
     around = np.concatenate([[0.0], strength, [0.0]])
     top &= (strength >= around[:-2]) & (strength >= around[2:])
@@ -124,9 +123,8 @@ def wave_peaks(
 ) -> tuple[IntArray, Array]:
     """The peaks of weights a, b (w, 2) over the plane, strongest first, one in a neighbourhood.
 
-    A wave between those of a grid shares its strength among its neighbours: a peak is the
-    strongest wave of a neighbourhood (p,), and its place the mean wavevector (p, 2) [rad/m] there,
-    by squared strength |k|^2 (a^2 + b^2). k and -k are the same wave; extent: of the flight [m].
+    Returns the index of the strongest wave of each neighbourhood (p,) and the mean wavevector there
+    (p, 2) [rad/m], weighted by |k|^2 (a^2 + b^2). extent: of the flight [m].
     """
     strength = np.linalg.norm(wavevectors, axis=1) * np.linalg.norm(weights, axis=1)
     near = 1.5 * math.pi / extent  # the diagonal of a grid of one step
@@ -159,7 +157,7 @@ def rms_mean_velocity(weights: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class CandidateFlow:
-    """A sum of weighted candidates; with free weights it may have a divergence.
+    """A weighted sum of candidates; its divergence need not vanish.
 
     w(x) = sum_j C(k_j, x - x0) W_j, C the 8 candidates of a wavenumber (Eq. 17).
     """
@@ -169,7 +167,7 @@ class CandidateFlow:
     origin: Array  # x0 (2,) [m], where the phases of the candidates are 0
 
     def velocity(self, x: ArrayLike, y: ArrayLike, t: ArrayLike = 0.0) -> Array:
-        """Return the flow velocity [m/s], shape (..., 2), at x, y [m]; t [s] changes nothing."""
+        """Return the flow velocity [m/s], shape (..., 2), at x, y [m]; it is steady."""
         places = np.broadcast_arrays(*(np.asarray(given, dtype=np.float64) for given in (x, y, t)))
         position = np.column_stack([places[0].ravel(), places[1].ravel()]) - self.origin
         theta = candidate_columns(position, math.pi / self.wavenumbers)
@@ -184,19 +182,19 @@ def read_grid(
     readout: Readout,
     weights: Sequence[float] = (1.0,),
 ) -> tuple[tuple[WaveCells, ...], CandidateFlow | WaveFlow | None]:
-    """The modes that a fit's weights choose on the grid, fastest first, and their flow.
+    """The cells chosen on the grid by a fit's weights, fastest first, and the flow of the weights.
 
-    The modes are fitted together to the rows of the regression, each flight's times its weight. The
-    flow is what the weights say; None where they are not those of a flow velocity.
+    The cells are fitted jointly to the rows of the regression, each flight's times its weight. The
+    flow is None if the target is not the flow velocity.
 
     Raises:
-        InputError: where the flight does not move.
+        InputError: if the flight does not move.
     """
     position = np.concatenate([samples.position for samples in flights])
     sources = [samples.averages or samples for samples in flights]
 
     def refitted(theta: Callable[[Array], Array]) -> Array:
-        """Weights of columns, where there are more rows than samples x before y of each."""
+        """Least-squares weights of columns of all flights; of waves rows are x before y."""
         parts = []
         for source, vehicle, weight in zip(sources, vehicles, weights, strict=True):
             columns = source.averaged(theta(source.position))
@@ -254,8 +252,8 @@ def read_grid(
 def paper_mean_velocity(field: Array, flow_velocity: Array, eq24: str) -> float:
     """Eqs. 22-24: normalise the fitted field (m, 2) to a range of sqrt(2), then scale it to Phi.
 
-    Eq. 22 gives each component an amplitude of sqrt(2)/2; that of Eq. 1 is 1, so U0 comes out up
-    to sqrt(2) too large once the flight covers a cell.
+    Eq. 22 gives each component an amplitude of sqrt(2)/2, but that of Eq. 1 is 1, so U0 is up to
+    sqrt(2) too large if the flight covers a cell.
     """
     high, low = field.max(axis=0), field.min(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -1,12 +1,13 @@
-"""The Fourier scan: sums over rows that say, for a whole grid of wavevectors, what a wave explains.
+"""The Fourier scan: the reduction of RSS by one wave, for a whole grid of wavevectors.
 
 With s_k = sum exp(i k.x) Phi the columns of a wave k have the inner products (k_y, -k_x) . s_k with
-Phi, and their Gram matrix needs the sums of exp(i k.x) and exp(2 i k.x) alone: non-uniform Fourier
-transforms (finufft; Barnett, Magland and af Klinteberg, 2019) give them at all k of a uniform grid,
-along a line (1-D), over the plane (2-D), or with the frequency of waves that move (3-D).
+Phi, and their Gram matrix depends only on the sums of exp(i k.x) and exp(2 i k.x): non-uniform
+Fourier transforms (finufft; Barnett, Magland and af Klinteberg, 2019) give them at all k of a
+uniform grid, along a line (1-D), over the plane (2-D), or with the frequency of waves that move
+(3-D).
 
-A track that is long beside the waves is cut into pieces, each with amplitudes of its own: a piece
-resolves less, and so needs fewer waves. There the Gram matrix is m/2.
+A track much longer than the waves is cut into pieces with separate amplitudes: a piece has a lower
+resolution, and so needs fewer waves. Its Gram matrix is approximated by m/2.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ def fourier_sums(
 ) -> ComplexArray:
     """Sums of loads times exp(i k.x) over rows, (..., 2 half + 1, ...), at all k of a grid about 0.
 
-    place: x of the rows (m, d), d of 1 to 3. step (d,), half: between wavenumbers along each axis,
-    and the number of steps to either side. loads: of the rows, (m,) or (j, m). times: how many
-    times k the sums are at. Up to most_single steps sums are in single precision, where they round
-    to 1e-4 of the rows.
+    place: x of the rows (m, d), d = 1, 2 or 3. step (d,): the spacing of wavenumbers along each
+    axis; half: the number of steps to either side. loads: of the rows, (m,) or (j, m). times: an
+    integer factor of k. Up to most_single steps the sums are in single precision, with errors of
+    1e-4 of the rows.
     """
     import finufft
 
@@ -60,16 +61,16 @@ def fourier_sums(
 
 
 def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: float) -> Array:
-    """b'G^-1 b of one wave at every k: the fall of RSS by its two columns, constants projected out.
+    """The reduction of RSS by the two columns of one wave at every k, b'G^-1 b, beside constants.
 
     load: (k_y, -k_x)/|k| . s_k, of rows less their mean; once, twice: means of exp(i k.x) and of
     exp(2 i k.x) over ``count`` rows.
     """
-    # The Gram matrix over m: of cos^2, sin cos and sin^2, less what constants take.
+    # The Gram matrix over m, of cos^2, sin cos and sin^2, constants projected out.
     first = 0.5 + 0.5 * twice.real - once.real**2
     last = 0.5 - 0.5 * twice.real - once.imag**2
     mixed = 0.5 * twice.imag - once.real * once.imag
-    flat = 1e-2  # of m: eigenvalues below it are those of a constant
+    flat = 1e-2  # of m: smaller eigenvalues are those of a constant
     least = np.maximum(flat * np.maximum(first, last), flat**3)
     determinant = np.maximum(first * last - mixed**2, least)
     gains = last * load.real**2 - 2 * mixed * load.real * load.imag + first * load.imag**2
@@ -80,7 +81,7 @@ def gain(load: ComplexArray, once: ComplexArray, twice: ComplexArray, count: flo
 def peaks(values: Array, most: int | None = None) -> IntArray:
     """Indices (p, d) of the local maxima above 0 of values of d dimensions, highest first."""
     around = np.pad(values, 1, constant_values=-np.inf)
-    for _ in values.shape:  # each axis in turn comes first
+    for _ in values.shape:  # each axis in turn
         around = np.moveaxis(around, -1, 0)
         around = np.maximum(np.maximum(around[:-2], around[1:-1]), around[2:])
     places = np.argwhere((values >= around) & (values > 0))
@@ -95,10 +96,10 @@ def line_steps(extent: float, bounds: Bounds) -> int:
 
 
 def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Array]:
-    """The fall of RSS by square cells along the axes: k = pi/L (q,) [1/m] and the gains (q,).
+    """The reduction of RSS by square cells along the axes: k = pi/L (q,) [1/m] and gains (q,).
 
-    Their two waves k (1, 1) and k (1, -1) flow at right angles, so that their gains add up. rest:
-    what is left of the rows (m, 2) [m/s], times their weight; bounds: of k [1/m].
+    The flows of their two waves k (1, 1) and k (1, -1) are at right angles, so that their gains
+    add up. rest: residual of the rows (m, 2) [m/s], times their weight; bounds: of k [1/m].
     """
     position, centre = rows.place[:, :2], sum(bounds) / 2
     half = (line_steps(extent_of(position), bounds) + 1) // 2
@@ -122,18 +123,18 @@ def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Arra
 
 @dataclass(frozen=True, eq=False)
 class WaveScan:
-    """The share of rows that one wave explains, over the wavevectors that the track resolves."""
+    """The scan of the rows by one wave, over the wavevectors that the track resolves."""
 
     rows: FlowRows
     radii: Bounds  # the least and the largest |k| [rad/m]
-    fastest: float  # velocity of waves [m/s]; 0: they stand
-    pieces: int  # of the track, each with amplitudes of its own
+    fastest: float  # velocity of waves [m/s]; 0: steady
+    pieces: int  # of the track, with separate amplitudes
     steps: Array  # between wavenumbers [rad/m] and frequencies [rad/s]: half a lobe of a piece
     halves: tuple[int, ...]  # steps to the sides of the grid, along k_x, k_y and omega
 
     @classmethod
     def of(cls, rows: FlowRows, radii: Bounds, fastest: float = 0.0) -> WaveScan | None:
-        """The scan in the fewest pieces that take .1 s; None where these have too few rows."""
+        """The scan in the fewest pieces that take about .1 s; None if these have too few rows."""
         pieces = FEWEST_PIECES if fastest else 1
         while True:
             steps = rows.reach(pieces)[: 3 if fastest else 2]
@@ -158,7 +159,7 @@ class WaveScan:
 
     @cached_property
     def inside(self) -> Array:
-        """1 where a wavevector of the grid (n, n) is between the radii, else 0."""
+        """1 for wavevectors of the grid (n, n) between the radii, else 0."""
         low, high = self.radii
         return ((self.radius >= low) & (self.radius <= high)).astype(float)
 
@@ -171,9 +172,9 @@ class WaveScan:
         return sums(), sums(times=2)
 
     def gains(self, rest: Array) -> tuple[Array, Array]:
-        """The fall of RSS by one wave (n, n) of rows (m, 2) [m/s], and its omega (n, n) [rad/s]."""
+        """The reduction of RSS of rows (m, 2) by one wave (n, n), and its omega (n, n) [rad/s]."""
         total, moving = np.zeros(1), len(self.halves) == 3
-        # (k_y, -k_x) . s_k / |k|: sums of u + i v at k and at -k, a half of each, turned
+        # (k_y, -k_x) . s_k / |k|, from the sums of u + i v at k and at -k
         turn = (self.axis + 1j * self.axis[:, None]) / np.maximum(self.radius, 1e-300)
         turn = turn.reshape(*turn.shape, *[1] * moving)
         parts = (self.rows.place, rest, self.rows.weight)

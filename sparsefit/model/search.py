@@ -1,8 +1,8 @@
-"""The rows of the search, and what scans say of them: where waves may be, and what is noise.
+"""The rows of the search, scans of them for waves, and the test of a residual for noise.
 
-Rows are thinned samples of the flow velocity Phi. A Fourier scan of cells along the axes, and one
-of the whole plane, shows where waves may be. The residual of a fit is noise where it has no more
-power than elsewhere at the frequencies of Phi, and no wave explains more of it than chance does.
+Rows are thinned samples of the flow velocity Phi. Fourier scans of cells along the axes and of the
+whole plane show candidate waves. The residual of a fit counts as noise if it has no more power at
+the frequencies of Phi than elsewhere, and no wave explains more of it than by chance.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sparsefit.model.scan import WaveScan, axis_gains, line_steps, peaks
 from sparsefit.model.shapes import AXIS, FlowRows, ShapeFit, fitted
 from sparsefit.rows import Samples
 
-EXACT = 1e-6  # a share of |Phi|^2 that smoothing takes: less tells no shape
+EXACT = 1e-6  # share of |Phi|^2, the error of smoothing: smaller residuals are equivalent
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +32,8 @@ class Search:
 
     rows: FlowRows  # thinned samples, counted from the origin
     bounds: Bounds  # of the wavenumber k = pi/L [1/m]
-    worth: float  # how many rows, of both components, count where errors correlate
-    origin: Array  # (x, y, t) from which the rows count
+    worth: float  # the number of effective rows of both components, as errors correlate
+    origin: Array  # (x, y, t) of the origin of the rows
     unknowns: tuple[UnknownColumns, ...]  # of each flight
     counts: tuple[int, ...]  # the rows of each flight
 
@@ -47,18 +47,18 @@ class Search:
     ) -> Search:
         """The search for a library's flow in flights; weights: of the rows of each.
 
-        Raises InputError where the flights do not move, or are too long for the least length scale.
+        Raises InputError if the flights do not move, or are too long for the least length scale.
         """
         position = np.concatenate([samples.position for samples in flights])
         extent, least = extent_of(position), library.grid.lower
-        if line_steps(extent, library.bounds) > 150_000:  # more lobes are looked into by nobody
+        if line_steps(extent, library.bounds) > 150_000:  # bounds the time
             words = f"a length scale of {least:.3g} m is too small for a flight of {extent:.3g} m"
-            raise InputError(f"{words}: too many lobes; raise the grid's lower bound")
+            raise InputError(f"{words}: too many lobes; check units, or raise the lower bound")
         time = np.concatenate([samples.time for samples in flights])
         origin = np.array([*middle(position), 0.5 * (time.min() + time.max())])
         thin, worth = [], 0.0
         for samples in flights:
-            # Errors of smoothed derivatives, and of positions, are not white, in rows:
+            # The correlation length of errors of smoothed derivatives and of positions, in rows:
             smoothing = samples.smoothing
             correlation = max(5.0, smoothing.rate_window / (smoothing.order + 1))
             worth += 2 * len(samples.time) / correlation
@@ -86,11 +86,11 @@ class Search:
 
     @cached_property
     def lobes(self) -> Array:
-        """Wavenumbers k (l,) [1/m] of cells along the axes that leave least, deepest first."""
+        """Wavenumbers k (l,) [1/m] of cells along the axes at minima of RSS, deepest first."""
         return self.line(self.rows.rest)
 
     def line(self, rest: Array) -> Array:
-        """The wavenumbers (l,) of the minima of what one mode of cells more leaves of errors."""
+        """The wavenumbers (l,) [1/m] of cells along the axes at minima of RSS of errors (m, 2)."""
         if not self.bounds[0] < self.bounds[1]:
             return np.array([self.bounds[0]])
         k, gains = axis_gains(self.rows, rest, self.bounds)
@@ -108,17 +108,17 @@ class Search:
 
     @cached_property
     def scan(self) -> WaveScan | None:
-        """The scan of standing waves over the plane; None of a track that is too long."""
+        """The scan of steady waves over the plane; None if the track is too long."""
         return WaveScan.of(self.rows, self.radii)
 
     def strong(self, rest: Array, most: int) -> Array:
-        """The standing waves (p, 2) [rad/m] that explain most of errors (m, 2), strongest first."""
+        """The steady waves (p, 2) [rad/m] that explain most of errors (m, 2), strongest first."""
         if self.scan is None:
             return np.zeros((0, 2))
         return self.scan.waves(self.scan.gains(rest)[0], most)
 
     def possible(self, fit: ShapeFit) -> bool:
-        """Whether all waves are within the bounds, none are one, and none nearly cancel."""
+        """Whether all waves are within the bounds, distinct, and none nearly cancel."""
         k, step = fit.phases[:, :2], 0.5 * math.pi / self.extent
         sizes = np.hypot(*k.T)
         if sizes.min() < self.radii[0] - step or sizes.max() > self.radii[1] + step:
@@ -130,14 +130,14 @@ class Search:
 
     @cached_property
     def power(self) -> Array:
-        """The power (f,) of what is to be explained, by frequency."""
+        """The power spectrum (f,) of Phi, unknowns projected out."""
         return spectrum(self.rows.rest)
 
     def quiet(self, rest: Array) -> bool:
-        """Whether errors (m, 2) have no more power where Phi has its own than elsewhere.
+        """Whether errors (m, 2) have no more power at the frequencies of Phi than elsewhere.
 
-        More is twice their mean power and 6 standard deviations. Where errors are a good part of
-        Phi, no wave may explain more of them than chance does in a thousandth of flights either.
+        The threshold is twice their mean power plus 6 standard deviations. If the errors are more
+        than 5 % of Phi, also no wave may explain more of them than by chance, at a level of 1e-3.
         """
         whole = float(np.sum(rest**2))
         share = whole / (float(np.sum(self.rows.rest**2)) or 1.0)
@@ -150,7 +150,7 @@ class Search:
         if share < 0.05 or self.scan is None:
             return True
         gain = float(self.scan.gains(rest)[0].max())
-        waves = max(1.0, 0.5 * float(self.scan.inside.sum()))  # that the scan tells apart
+        waves = max(1.0, 0.5 * float(self.scan.inside.sum()))  # resolved by the scan
         most = 2 * math.log(waves / 1e-3) + 8
         return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
 
@@ -171,7 +171,7 @@ def spectrum(values: Array) -> Array:
 def flight_weights(
     flights: Sequence[Samples], vehicles: Sequence[PointMassVehicle], library: Library
 ) -> tuple[float, ...]:
-    """The weight of each flight's rows: one over the level of what the best cells leave of it.
+    """The weight of each flight's rows: the inverse rms residual of the best cells along the axes.
 
     Of mean square 1 over all rows; one flight has weight 1.
     """

@@ -1,10 +1,10 @@
-"""Shapes of flow as data, and their one descent: waves fitted to rows, parameters moved downhill.
+"""Shapes of flow as data, and their fit to rows by least squares and a descent.
 
     axis-aligned square cells  <  square at any heading  <  rectangular  <  any two waves,
 
-each steady or drifting as a whole; several are waves of any wavevector, or axis-aligned cells of
-several length scales. The parameters are q = (wavenumbers [rad/m], heading [rad] if the shape may
-be turned, c_x, c_y [m/s] if it drifts); wave j has the phase k_j . (x - c t).
+each steady or drifting as a whole; ``several`` are any waves, or axis-aligned cells of several
+length scales. The parameters are q = (wavenumbers [rad/m], heading [rad] if the shape may
+be rotated, c_x, c_y [m/s] if it drifts); wave j has the phase k_j . (x - c t).
 
 At parameters q the rows of the flow velocity, x before y of each sample, are
 
@@ -13,7 +13,7 @@ At parameters q the rows of the flow velocity, x before y of each sample, are
 N the columns of the unknowns. RSS(q) = min over the weights of |E|^2 is a function of q alone
 (variable projection; Golub and Pereyra, 1973). With A the derivatives of the flow by q and P the
 projection off all columns, the Gauss-Newton move solves A'P A dq = A'E. A track may be cut into
-pieces with amplitudes of their own, in which parameters are caught from farther away.
+pieces with separate amplitudes, which widens the basin of attraction of the parameters.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from sparsefit.arrays import Array, box
 from sparsefit.cached import cached_property
 from sparsefit.model.grid import sines_and_cosines
 
-RANK = 1e-12  # eigenvalues of a scaled Gram matrix below this, relative, are dropped
-END = 1e-3  # of moves, in pi over the extent and over the duration: where a descent ends
+RANK = 1e-12  # relative eigenvalues of a scaled Gram matrix that count as zero
+END = 1e-3  # of pi over the extent or the duration: moves below it end a descent
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A kind of flow: its waves k_x + i k_y before it is turned, as sums over its wavenumbers."""
+    """A kind of flow: its waves k_x + i k_y before rotation, as sums over its wavenumbers."""
 
     name: str
     waves: tuple[tuple[complex, ...], ...]  # the coefficients of l wavenumbers in J waves
-    turned: bool = False  # by a heading, counter-clockwise
+    turned: bool = False  # rotated by a heading, counter-clockwise
     drifting: bool = False  # at a velocity c
 
     @property
@@ -53,12 +53,12 @@ class Shape:
 
     @property
     def moving(self) -> Shape:
-        """The shape where it drifts."""
+        """The drifting shape."""
         return replace(self, drifting=True)
 
     @property
     def steady(self) -> Shape:
-        """The shape where it stands."""
+        """The steady shape."""
         return replace(self, drifting=False)
 
     def phases(self, q: Array) -> tuple[Array, Array]:
@@ -81,10 +81,10 @@ class Shape:
         return phases, by_q
 
     def nearest(self, phases: Array) -> Array:
-        """The parameters (p,) that come nearest to waves (k_x, k_y, omega) (J, 3).
+        """The parameters (p,) nearest to waves (k_x, k_y, omega) (J, 3).
 
-        The heading of cells is that of k_1 + k_2, brought to (-pi/4, pi/4] by a quarter turn,
-        which exchanges the waves.
+        The heading of cells is that of k_1 + k_2, brought to (-pi/4, pi/4] by quarter turns, which
+        exchange the waves.
         """
         k = phases[:, :2]
         moved = np.linalg.lstsq(k, phases[:, 2], rcond=None)[0] if self.drifting else np.zeros(0)
@@ -120,7 +120,7 @@ def free_waves(count: int, *, drifting: bool = False) -> Shape:
 def axis_cells(count: int) -> Shape:
     """Square cells along the axes of several length scales, q = k = pi/L of each."""
     waves = tuple(map(tuple, np.kron(np.eye(count), [[1 + 1j], [1 - 1j]]).tolist()))
-    return Shape("axis" if count == 1 else "several", waves)
+    return Shape("axis" if count == 1 else "scales", waves)
 
 
 PAIR = free_waves(2)
@@ -129,7 +129,7 @@ PAIR = free_waves(2)
 
 @dataclass(frozen=True)
 class WaveCells:
-    """The parameters that are read from waves: U0 of all of them, the rest of the two strongest.
+    """The parameters of waves: U0 of all of them, the others of the two strongest.
 
         U0^2 = sum_j |k_j|^2 (a_j^2 + b_j^2),    L = sqrt(2) pi / sqrt(mean |k_j|^2)
 
@@ -162,9 +162,9 @@ def read_cells(wavevectors: Array, amplitudes: Array) -> WaveCells:
 
 
 def flows_of(wavevectors: Array, amplitudes: Array) -> list[list[int]]:
-    """The places of the waves of every flow: of four waves that are two flows of cells, or of all.
+    """The indices of the waves of each flow: of four waves two pairs of cells, or all.
 
-    Two waves are cells where they are alike in strength, length and at right angles.
+    Two waves are cells if they are similar in strength and length and at right angles.
     """
     if len(wavevectors) != 4:
         return [list(range(len(wavevectors)))]
@@ -175,9 +175,9 @@ def flows_of(wavevectors: Array, amplitudes: Array) -> list[list[int]]:
     first, second = pairings[..., 0], pairings[..., 1]
     turned = np.abs(np.sum(along[first] * along[second], axis=2))
     unlike = np.abs(size[first] - size[second]) + np.abs(length[first] - length[second])
-    # The angle counts a tenth: of waves all alike, squares are preferred.
+    # The angle has a weight of 0.1: of four equal waves, right angles are preferred.
     best = pairings[np.argmin(np.sum(unlike + 0.1 * turned, axis=1))]
-    if np.abs(np.diff(size[best], axis=1)).max() > 0.2:  # waves that differ by more make no cells
+    if np.abs(np.diff(size[best], axis=1)).max() > 0.2:  # waves that differ by more are no cells
         return [[0, 1, 2, 3]]
     pairs: list[list[int]] = best.tolist()
     return pairs
@@ -188,7 +188,7 @@ class FlowRows:
     """Rows of the flow velocity, with their weights."""
 
     place: Array  # (x, y, t) from their middle (m, 3) [m], [s]
-    target: Array  # Phi of the vehicle as it is believed to be, (m, 2) [m/s], times the weight
+    target: Array  # Phi of the assumed vehicle, (m, 2) [m/s], times the weight
     unknowns: Array  # N (m, 2, j), times the weight
     weight: Array  # (m,)
     _cuts: dict[int, tuple[Array, Array, Array]] = field(default_factory=dict)
@@ -196,7 +196,7 @@ class FlowRows:
     def cut(self, pieces: int) -> tuple[Array, Array, Array]:
         """The target (s, 2 n), x, y and -t (3, s, n), and -+ weights (s, 1, 2, n) of s pieces.
 
-        A piece has n rows, x before y; those that fill the last one have weight 0. Of pieces the
+        A piece has n rows, x before y; the last one is padded by rows of weight 0. With pieces the
         target is `rest`.
         """
         if pieces not in self._cuts:
@@ -219,7 +219,7 @@ class FlowRows:
 
     @cached_property
     def rest(self) -> Array:
-        """Phi less what its unknowns explain, (m, 2) [m/s]."""
+        """Phi with its unknowns projected out, (m, 2) [m/s]."""
         if not self.unknowns.shape[2]:
             return self.target
         columns, target = self.unknowns.reshape(-1, self.unknowns.shape[2]), self.target.ravel()
@@ -243,10 +243,10 @@ class ShapeFit:
     q: Array  # the parameters (p,)
     weights: Array  # a_1, b_1, a_2, ... [m^2/s], (2 J,), phases from the middle of the rows
     coefficients: Array  # b (j,) of the unknowns
-    rest: Array  # E (m, 2) [m/s], what is left of the rows
+    rest: Array  # the residual E (m, 2) [m/s]
     residual: float  # RSS [m^2/s^2]
-    move: Array  # of Gauss and Newton (p,); 0 where RSS is flat to rounding
-    fall: float  # of RSS, that the move promises
+    move: Array  # the Gauss-Newton step (p,); 0 where RSS is flat to rounding
+    fall: float  # the predicted reduction of RSS by the move
 
     @cached_property
     def phases(self) -> Array:
@@ -263,7 +263,7 @@ class ShapeFit:
 def orthonormal(gram: Array, sizes: Array | None = None) -> Array:
     """Weights (..., k, k) of orthonormal columns from Gram matrices, zero along null spaces.
 
-    sizes (k,): squares beside which a diagonal entry may be rounding; None: the diagonal itself.
+    sizes (k,): the scale of each diagonal entry, to detect rounding; None: the diagonal itself.
     """
     if not gram.size:
         return gram
@@ -277,7 +277,7 @@ def orthonormal(gram: Array, sizes: Array | None = None) -> Array:
 
 
 def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
-    """Fit the rows by a shape at parameters q (p,); of pieces what is unknown is left out.
+    """Fit the rows by a shape at parameters q (p,); with pieces the unknowns are left out.
 
     A column is a vector, (k_y, -k_x), times one of g = (-sin theta, cos theta). Where psi = a cos
     theta + b sin theta, the flow is that vector times h = a g_1 + b g_2, and h has the derivative
@@ -317,11 +317,11 @@ def fitted(rows: FlowRows, shape: Shape, q: Array, pieces: int = 1) -> ShapeFit:
 def descended(
     rows: FlowRows, shape: Shape, q: Array, *, pieces: int = 1, goal: float = math.inf
 ) -> ShapeFit:
-    """The shape moved from q (p,) to the least RSS in reach.
+    """The shape at the local minimum of RSS from q (p,).
 
-    It ends where it would not come below ``goal``, RSS, even if all its moves gained as much as
-    the next promises, where RSS falls by less than 1e-5, and after 25 moves. In pieces the whole
-    goes on from a twentieth of a lobe.
+    The descent ends if RSS would not fall below ``goal`` even if every remaining move gained as
+    much as the next one predicts, if RSS falls by less than 1e-5, and after 25 moves. With pieces
+    it ends at moves of a twentieth of a lobe.
     """
     here, reach = fitted(rows, shape, q, pieces), rows.reach(pieces)
     for remaining in range(25, 0, -1):
@@ -346,7 +346,7 @@ def descended(
 
 
 def joined(rows: FlowRows, shape: Shape, q: Array, pieces: int) -> Array:
-    """Parameters (p,) caught in pieces of a track, as sharp as the whole can take them."""
+    """Parameters (p,) by descents in fewer and fewer pieces, near those of the whole track."""
     while pieces > 1:
         q = descended(rows, shape, q, pieces=pieces).q
         pieces = (pieces + 1) // 2

@@ -1,4 +1,4 @@
-"""On board: the forward pass as samples come, the estimator as it would fly, and its C."""
+"""On board: recursive estimation from a stream of samples, in Python and in C."""
 
 from sparsefit.onboard.online import OnlineEstimator, Stream, as_flown, refusal
 

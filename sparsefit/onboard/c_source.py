@@ -1,7 +1,7 @@
-"""From an estimator to C99 for the processor on board: `templates/` with its settings, and a test.
+"""Export of an estimator as C99: `templates/` with its settings, and a test.
 
-The C has no settings of its own: the estimator's are the macro ``SF_SETTINGS`` of the header. The
-test replays a flight, and compares with the same recurrence in Python (`sparsefit.onboard.board`).
+The settings of the estimator are the macro ``SF_SETTINGS`` of the header. The test replays a flight
+and compares with the same recurrence in Python (`sparsefit.onboard.board`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sparsefit.onboard.sweep import PEAKS, ROWS
 Real = Literal["double", "float"]
 TOLERANCES: dict[Real, float] = {"double": 1e-6, "float": 1e-3}
 EVERY = 50  # samples between the answers of the reference
-CLOCK = 400e6  # Hz of the processor that the example has in mind
+CLOCK = 400e6  # of an example processor [Hz]
 CYCLES = {"float": (3, 20, 120), "double": (6, 40, 400)}  # of a sum or product, a quotient, a sine
 FILES = ("sf_flow.h", "sf_flow.c", "CMakeLists.txt", "README.md", "test/replay.c")
 _VEHICLE = ("response_time", "drag_coefficient", "thrust_x", "thrust_y", "thrust_scale")
@@ -34,23 +34,22 @@ _VEHICLE = ("response_time", "drag_coefficient", "thrust_x", "thrust_y", "thrust
 
 def ram(real: Real) -> int:
     """Return the bytes of the state: `sizeof(sf_flow)` rounded up to 64."""
-    filters = len(LEVELS) * (12 + 144 + 3 + 4)
-    reals = 52 + 4 * ROWS + PEAKS * (3 + 3 * 6 + 36 + 3) + filters
+    reals = 50 + 4 * ROWS + 9 * PEAKS + len(LEVELS) * (12 + 144 + 3 + 4)
     return math.ceil((reals * (8 if real == "double" else 4) + 96) / 64) * 64
 
 
 def costs(real: Real, candidates: int) -> list[str]:
-    """Return RAM, and the work and time of a sample at most, in lines for people.
+    """Return lines of text: RAM, and the largest work and time per sample.
 
-    All filters follow one sample in a step of the motion; one of the search looks at so many
-    candidates. Work is counted in sums and products, quotients and roots, sines and logs.
+    A sample is followed by all filters in one step of the motion, or in up to 16 where it is longer
+    than half of the response time; while searching it evaluates so many candidates.
     """
     filters, rows = len(LEVELS), candidates * ROWS
-    sums = 4 * 2 * 60 + 2 * (6 + 6) * 144 + 4 * (12 + 2 * 78) + 300  # motion, covariance, readings
+    sums = 430 + 1008 + 2592 + 4 * 374 + 160 + 1536  # motion, F, F P F', readings, memory, anchor
     lines = [f"RAM    {ram(real)} bytes, all of it `sf_flow`"]
     for name, counts in {
-        "following": (filters * sums, filters * 60, filters * 30),
-        "searching": (rows * 36 + 4 * ROWS, candidates * 12, rows * 4),
+        "following (steps of tau/2 at most)": (filters * sums, filters * 60, filters * 30),
+        "searching": (max(rows * 36, ROWS * 1200) + 8 * ROWS, candidates * 12, rows * 4),
     }.items():
         seconds = sum(map(math.prod, zip(counts, CYCLES[real], strict=True))) / CLOCK
         lines += [
@@ -63,7 +62,7 @@ def costs(real: Real, candidates: int) -> list[str]:
 
 
 def example_flight(estimator: Estimator, seed: int = 7) -> Flight:
-    """Return a flight of 1201 samples amid the grid, with usual noise, steps of whole ns."""
+    """Return a simulated flight of 1201 samples, with a length scale within the grid."""
     grid = estimator.library.grid
     flow = CellularFlow(15.0, min(math.sqrt(grid.lower * grid.upper), 4.0 * grid.lower))
     tau, step = 1.5 * flow.timescale, max(1, round(1e6 * 0.06 * flow.timescale)) * 1e-6
@@ -102,11 +101,11 @@ def package(
     Args:
         estimator: whose settings the search has.
         real: the C type of all numbers.
-        flight: of the test; by default one that is simulated.
-        source: what the estimator was read from, for the header.
+        flight: of the test; by default a simulated one.
+        source: name of the estimator's file, for the header.
 
     Raises:
-        InputError: where the estimator cannot run on board.
+        InputError: if the estimator cannot run on board.
     """
     one_of("C type", real, TOLERANCES)
     if reason := refusal(estimator):
@@ -114,7 +113,9 @@ def package(
     flown = example_flight(estimator) if flight is None else flight
     settings = board_settings(estimator, flown.vehicle)
     searched = [
-        f".{name} = {value!r}" for name, value in asdict(settings).items() if name not in _VEHICLE
+        f".{name} = {'(sf_real)' * isinstance(value, float)}{value!r}"
+        for name, value in asdict(settings).items()
+        if name not in _VEHICLE
     ]
     lines, origin = costs(real, settings.candidates), one_line(source, 50).replace("*/", "")
     marks = {

@@ -1,8 +1,7 @@
-"""An estimator that follows a stream of samples, each in bounded time, and answers at any moment.
+"""Recursive estimation from a stream of samples, each in bounded time and constant memory.
 
-The answer is that of the forward pass (`sparsefit.onboard.board`): first a search over square cells
-of every size and heading, then Kalman filters over the flow that was found. A recorded flight is
-scored as the stream that it was by `as_flown`.
+The recurrence is `sparsefit.onboard.board`: a search over square cells of every size and heading,
+then Kalman filters for the flow. `as_flown` scores recorded flights as if they were streamed.
 """
 
 from __future__ import annotations
@@ -47,14 +46,16 @@ _WORDS = {
 def refusal(estimator: Estimator) -> str:
     """Return the reason why an estimator cannot run on board, with its remedy; empty if it can.
 
-    A derivative, a back-end and the steps of a grid are the batch's: on board the search takes
-    their place. The vehicle is known, the flow one of square cells, and U0 its rms.
+    On board the vehicle is known, the flow is one of square cells and U0 its rms. The search
+    replaces the derivative, the back-end and the steps of the grid.
     """
     library, readout, grid = estimator.library, estimator.readout, estimator.library.grid
-    free = (estimator.free,) if isinstance(estimator.free, str) else estimator.free
-    freed, causes = (*library.unknown, *free), []
-    if freed:
-        causes.append(f"unknown {', '.join(freed)}: the vehicle is known (leave it out)")
+    causes = []
+    if library.unknown:
+        unknown = ", ".join(library.unknown)
+        causes.append(f"unknown {unknown}: on board the vehicle is known (leave it out)")
+    if estimator.free:
+        causes.append(f"free = {estimator.free!r}: on board the vehicle is known (leave it out)")
     if readout.scales != "one":
         causes.append("several scales are a search over all rows (use scales 'one')")
     if readout.mean_velocity != "rms":
@@ -68,9 +69,9 @@ def refusal(estimator: Estimator) -> str:
 def board_settings(
     estimator: Estimator, vehicle: PointMassVehicle, memory: float = 0.0
 ) -> BoardSettings:
-    """Return the settings of the board that an estimator flies as.
+    """Return the settings on board of an estimator.
 
-    memory: the time in which the weight of a sample falls by e [s]; 0: all count alike.
+    memory: time constant of the weights of past samples [s]; 0: equal weights.
     """
     grid, precision = estimator.library.grid, float(estimator.readout.precision)
     search = float(grid.lower), float(grid.upper), precision, memory, int(_any_heading(estimator))
@@ -82,21 +83,20 @@ def _any_heading(estimator: Estimator) -> bool:
 
 
 class OnlineEstimator:
-    """Follows the flow from samples as they come, and answers at every one.
+    """Estimates the flow recursively from a stream of samples, in constant memory.
 
-    Memory is constant. An instance can be pickled in flight and goes on where it was; several
-    threads may use it.
+    An instance can be pickled in flight and resumed, and is safe to share between threads.
 
     Args:
-        estimator: the bounds of its grid, whether its readout allows any heading (``ladder``) and
-            its precision are those of the search; its derivative and back-end are the batch's.
-        vehicle: that flies, as `Flight` has it.
-        window: seconds that count: older samples fade as with a memory of half of it.
-        memory: instead of a window, the time in which the weight of a sample falls by e [s].
-            Without either all samples count alike.
+        estimator: gives the bounds of the length scale, the precision, and whether any heading is
+            allowed (readout refine ``ladder``); its derivative and back-end are not used.
+        vehicle: of the flight, as in `Flight`.
+        window: effective number of seconds; a window of T is a memory of T/2.
+        memory: time constant of the exponential weights of past samples [s]. Default: equal
+            weights.
 
     Raises:
-        InputError: where the estimator cannot run on board, naming what stands in the way.
+        InputError: if the estimator cannot run on board, with the reason.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class OnlineEstimator:
         self.__dict__.update(state, _lock=threading.RLock())
 
     def restart(self) -> None:
-        """Forget all samples; the next may have any time."""
+        """Discard all samples; the next may have any time."""
         with self._lock:
             self._board: Any = board_of(self.settings)
             self._first, self._pushed, self._count = 0.0, False, 0
@@ -134,20 +134,20 @@ class OnlineEstimator:
     def update(self, time: float, position: Any, velocity: Any, thrust: Any = None) -> None:
         """Take one sample: time [s], position (x, y) [m] and velocity (vx, vy) [m/s].
 
-        A step of more than 20 mean steps, or one back in time, is out of line: the sample is left
-        out, and if the next one goes on from it, the clock was set: that one is taken, and the
-        flow that was followed stays.
+        A sample more than 20 mean steps after the last, or not after it, is rejected. If the next
+        one continues from it, the clock has changed or there was a gap, and that one is accepted;
+        tracking continues if the velocities measured next agree with the flow, otherwise the
+        search starts again.
 
         Args:
             time: of the sample [s].
             position: (x, y) [m].
             velocity: (vx, vy) [m/s].
-            thrust: the measured thrust acceleration [m/s^2], as `Flight` has it, with every sample
-                or with none.
+            thrust: the measured thrust acceleration (x, y) [m/s^2], with every sample or with none.
 
         Raises:
-            InputError: where a value is not finite or no flight has it, or the time is out of
-                line. The sample is left out, and nothing changes.
+            InputError: if a value is not finite or above 1e7, or the time is out of line. The
+                sample is rejected and the state does not change.
         """
         with self._lock:
             if self._count and self._pushed is not (thrust is not None):
@@ -166,6 +166,8 @@ class OnlineEstimator:
         finite("time", time, "s")
         pair("position", position, "m")
         pair("velocity", velocity, "m/s")
+        if thrust is not None:
+            pair("thrust", thrust, "m/s^2")
         if status == BAD_SAMPLE:
             raise InputError("a sample beyond 1e7 in SI units: no flight; change the unit")
         raise InputError(
@@ -175,12 +177,12 @@ class OnlineEstimator:
 
     @property
     def samples(self) -> int:
-        """The number of samples taken."""
+        """The number of accepted samples."""
         return self._count
 
     @property
     def answer(self) -> BoardAnswer:
-        """The answer of the board from all samples so far."""
+        """The numbers of the recurrence after the last sample."""
         with self._lock:
             answer: BoardAnswer = self._board.estimate()
         return answer
@@ -204,7 +206,7 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **more: Any) -> Estim
     speed, length, time, heading = answer.value.tolist()
     any_heading = _any_heading(estimator)
     if math.isfinite(length):
-        (a, b, c, d, kx, ky), _ = rebased(answer.flow[:6], -answer.flow[6:])
+        a, b, c, d, kx, ky = rebased(answer.flow[:6], -answer.flow[6:])
         waves = np.array([[kx, ky], [-ky, kx]]), np.array([a, c]), np.array([b, d])
         more |= {
             "uncertainty": Uncertainty.of_flow((speed, length, time), answer.error[:3].tolist()),
@@ -220,11 +222,11 @@ def estimate_of(estimator: Estimator, answer: BoardAnswer, **more: Any) -> Estim
 
 @dataclass(frozen=True)
 class Stream:
-    """Whether an estimator follows its flights sample by sample, and how fast it forgets.
+    """Settings of an estimator that is fed sample by sample; by default it is not.
 
     Args:
-        window: seconds that count, as of `OnlineEstimator`.
-        memory: or the time in which the weight of a sample falls by e [s].
+        window: effective number of seconds, as in `OnlineEstimator`.
+        memory: or the time constant of the weights [s].
 
     Raises:
         InputError: if both are given, or one of them is not above 0.
@@ -243,22 +245,22 @@ class Stream:
 
     @property
     def asked(self) -> bool:
-        """Whether flights are followed at all."""
+        """Whether flights are fed sample by sample."""
         return self.window is not None or self.memory is not None
 
     @property
     def fading(self) -> float:
-        """The time in which the weight of a sample falls by e [s]; 0: all count alike."""
+        """The time constant of the weights [s]; 0: equal weights."""
         return self.memory or 0.0 if self.window is None else self.window / 2.0
 
     def flying(self, estimator: Estimator) -> Estimator:
-        """Return an estimator as it flies, where flights are followed; else the estimator."""
+        """Return the estimator as on board if a window or memory is set, otherwise itself."""
         return as_flown(estimator, self) if self.asked else estimator
 
 
 @dataclass(frozen=True)
 class FlownEstimator(Estimator):
-    """An estimator as it flies: its estimate is that of the board after a flight's last sample."""
+    """An estimator whose estimate is that on board after the last sample of a flight."""
 
     stream: Stream = field(default=Stream(), kw_only=True)
 
@@ -294,10 +296,10 @@ class _FlownRows:
 
 
 def as_flown(estimator: Estimator, stream: Stream = Stream()) -> FlownEstimator:
-    """Return an estimator as it flies, to be scored like any other.
+    """Return an estimator that answers as on board, to be scored like any other.
 
     Raises:
-        InputError: where it cannot (`refusal` says why).
+        InputError: if it cannot run on board (`refusal`).
     """
     if reason := refusal(estimator):
         raise InputError(reason)

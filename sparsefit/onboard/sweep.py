@@ -1,9 +1,9 @@
-"""The search on board: averaged flow velocities, a sweep over cells, and least squares of the best.
+"""The search on board: averaged flow velocities, and a sweep over cells that may explain them.
 
-A row is the mean over a quarter of the least length scale that is sought: the velocity, and Phi
-from the slope of the velocity. A sweep looks at cells of every |k| and heading, at steps of two
-over the extent of the rows, a few with each sample. Square cells of any heading are six parameters,
-a, b, a, b, kx, ky:
+A row is a mean over a quarter of the smallest length scale: the position, and the flow's velocity
+from the vehicle's and its slope. A sweep evaluates cells of every |k| and heading, at steps of two
+over the extent of the rows, a few with each sample; the best are refined by halving the step.
+Square cells of any heading have six parameters, a, b, a, b, kx, ky:
 
     psi = sum over k = (kx, ky), (-ky, kx) of a cos(k.x) + b sin(k.x),   w = (psi_y, -psi_x),
     U0 = |k| sqrt(sum of a^2 + b^2),   L = sqrt(2) pi/|k|
@@ -12,6 +12,7 @@ a, b, a, b, kx, ky:
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -20,8 +21,9 @@ import numpy as np
 from sparsefit.arrays import Array
 
 M = 6  # parameters of the flow
-ROWS, FEWEST_ROWS, BLOCK_MOST, PEAKS, REFINEMENTS = 192, 24, 64, 5, 14
-EVEN, EXPLAINED, EVIDENCE = 0.03, 0.6, 15.0
+ROWS, FEWEST_ROWS, BLOCK_MOST, PEAKS, ROUNDS = 192, 24, 64, 5, 8
+EXPLAINED, EVIDENCE = 0.6, 15.0
+AROUND = math.sqrt(2.0) * math.pi  # |k| L
 SPEED, LENGTH, TIME, HEADING, UNEVEN = range(5)  # of `features`
 
 
@@ -50,12 +52,12 @@ class BoardSettings:
         thrust_x: a0 [m/s^2], along x.
         thrust_y: a0 [m/s^2], along y.
         thrust_scale: s, of the measured acceleration.
-        lower: the least length scale that is sought [m].
-        upper: the largest length scale [m].
-        precision: half-width of the 95 % intervals over the value, of an answer that is ok.
-        memory: the time in which the weight of a sample falls by e [s]; 0: all count alike.
-        any_heading: 0 where the cells are taken to lie along the axes.
-        candidates: number of candidates that are looked at with a sample of the search.
+        lower: lower bound of the length scale [m].
+        upper: upper bound [m].
+        precision: largest relative half-width of the 95 % intervals of an ok answer.
+        memory: time constant of the weights of past samples [s]; 0: equal weights.
+        any_heading: 0 for cells along the axes.
+        candidates: number of candidates evaluated per sample of the search.
     """
 
     response_time: float
@@ -76,14 +78,14 @@ class BoardAnswer:
     """The answer of a board, as `sf_answer` of the C.
 
     Args:
-        doubt: none where the answer is ok.
-        samples: number of samples taken so far.
-        value: U0 [m/s], L [m], L/U0 [s], heading [rad], (4,); NaN where nothing is followed.
+        doubt: none if the answer is ok.
+        samples: number of accepted samples.
+        value: U0 [m/s], L [m], L/U0 [s], heading [rad], (4,); NaN during the search.
         error: their standard errors (4,).
         innovation: mean square of the normalised innovations.
-        correlation: their mean product from one sample to the next.
-        unexplained: share of the averaged flow velocity's squares that the flow leaves.
-        rival: L of the rival [m], where that is the doubt.
+        correlation: mean product of successive normalised innovations.
+        unexplained: share of the squares of the averaged flow velocities.
+        rival: L of the rival [m], if that is the doubt.
         flow: a, b, a, b, kx, ky, and the place that phases count from [m], (8,).
     """
 
@@ -105,72 +107,55 @@ class BoardAnswer:
         return "unidentifiable" if self.doubt else "ok"
 
 
-def waves(flow: Array, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Return w (2, ...), its gradient by the place (2, 2, ...) and by the flow (2, 6, ...).
-
-    flow: a, b, a, b [m^2/s], kx, ky [rad/m], (6, ...); x, y: from where phases count [m], (...).
-    """
-    w, place = np.zeros((2, *np.shape(x))), np.zeros((2, 2, *np.shape(x)))
-    gradient = np.zeros((2, M, *np.shape(x)))
-    for j, (k, l) in enumerate(((flow[4], flow[5]), (-flow[5], flow[4]))):  # noqa: E741
-        a, b, phase = flow[2 * j], flow[2 * j + 1], k * x + l * y
-        c, s = np.cos(phase), np.sin(phase)
-        slope, height, normal = b * c - a * s, a * c + b * s, np.stack([l + 0 * x, -k + 0 * x])
-        w += slope * normal
-        place -= height * normal[:, None] * np.stack([k + 0 * x, l + 0 * x])
-        gradient[:, 2 * j], gradient[:, 2 * j + 1] = -s * normal, c * normal
-        by_k = np.stack([-height * l * x, height * k * x - slope])
-        by_l = np.stack([slope - height * l * y, height * k * y])
-        gradient[:, 4] += by_l if j else by_k
-        gradient[:, 5] += -by_k if j else by_l
-    return w, place, gradient
+def waves(flow: Array, place: Array) -> Array:
+    """w (2, ...) [m/s] of flows (6, ...) at places (2, ...) [m] from where their phases count."""
+    (x, y), (a, b, c, d, k, l) = place, flow  # noqa: E741
+    first, second = k * x + l * y, k * y - l * x
+    along, across = b * np.cos(first) - a * np.sin(first), d * np.cos(second) - c * np.sin(second)
+    return np.stack([l * along + k * across, l * across - k * along])
 
 
-def turned(angle: float) -> float:
-    """An angle [rad] less the nearest multiple of a right one."""
-    return angle - math.pi / 2 * math.floor(angle / (math.pi / 2) + 0.5)
+def slopes(function: Callable[[Array], Array], point: Array) -> Array:
+    """The Jacobian (m, n) of a function (m, ...) of points (n, ...), by complex steps."""
+    jacobian: Array = function(point[:, None] + 1e-30j * np.eye(len(point))).imag / 1e-30
+    return jacobian
 
 
-def features(flow: Array) -> tuple[Array, Array]:
-    """U0, L, L/U0, the heading [rad] and the unevenness of a flow (6,), and gradients (5, 6).
+def turned(angle: Array) -> Array:
+    """Angles [rad] less the nearest multiple of a right one."""
+    return angle - math.pi / 2 * np.floor(np.real(angle) / (math.pi / 2) + 0.5)
+
+
+def features(flow: Array) -> Array:
+    """U0, L, L/U0, the heading [rad] and the unevenness (5, ...) of flows (6, ...).
 
     The unevenness is half the logarithm of the ratio of the two waves' squared amplitudes.
     """
     first, second = flow[0] ** 2 + flow[1] ** 2, flow[2] ** 2 + flow[3] ** 2
-    k = flow[4] ** 2 + flow[5] ** 2
-    speed, length = math.sqrt(k * (first + second)), math.sqrt(2.0 / k) * math.pi
-    heading = turned(math.atan2(flow[5], flow[4]) - math.pi / 4)
-    gradients = np.zeros((5, M))
-    gradients[SPEED] = np.concatenate([k * flow[:4], speed**2 / k * flow[4:]]) / speed
-    gradients[LENGTH, 4:] = -length * flow[4:] / k
-    gradients[TIME] = length / speed * (gradients[LENGTH] / length - gradients[SPEED] / speed)
-    gradients[HEADING, 4:] = -flow[5] / k, flow[4] / k
-    gradients[UNEVEN, :4] = *(-flow[:2] / first), *(flow[2:4] / second)
-    values = [speed, length, length / speed, heading, math.log(second / first) / 2]
-    return np.array(values), gradients
+    size = np.sqrt(flow[4] ** 2 + flow[5] ** 2)
+    speed, length = size * np.sqrt(first + second), AROUND / size
+    heading = turned(np.arctan(flow[5] / flow[4]) - math.pi / 4)
+    return np.array([speed, length, length / speed, heading, np.log(second / first) / 2])
 
 
-def rebased(flow: Array, place: Array) -> tuple[Array, Array]:
-    """A flow (6,) whose phases count from a place (2,) [m], and the Jacobian (6, 6) of that."""
-    moved, jacobian = flow.copy(), np.eye(M)
-    for j, by in enumerate((place, np.array([place[1], -place[0]]))):
-        turn = float(flow[4:] @ by)
-        c, s, two = math.cos(turn), math.sin(turn), slice(2 * j, 2 * j + 2)
-        jacobian[two, two] = [[c, s], [-s, c]]
-        moved[two] = jacobian[two, two] @ flow[two]
-        jacobian[two, 4:] = np.outer([moved[2 * j + 1], -moved[2 * j]], by)
-    return moved, jacobian
+def rebased(flow: Array, place: Array) -> Array:
+    """Flows (6, ...) whose phases count from a place (2,) [m]."""
+    (x, y), (a, b, c, d, k, l) = place, flow  # noqa: E741
+    first, second = k * x + l * y, k * y - l * x
+    turns = [np.cos(first), np.sin(first), np.cos(second), np.sin(second)]
+    return np.array([
+        turns[0] * a + turns[1] * b, turns[0] * b - turns[1] * a,
+        turns[2] * c + turns[3] * d, turns[2] * d - turns[3] * c, k, l,
+    ])  # fmt: skip
 
 
+@dataclass(frozen=True)
 class Peak:
-    """A candidate of a sweep: its share of the rows, |k|, direction of k, and its least squares."""
+    """A candidate of a sweep: the share of the rows' squares that it explains, |k|, k's angle."""
 
-    def __init__(self, score: float, size: float, angle: float) -> None:
-        self.score, self.size, self.angle = score, size, angle
-        self.flow, self.trial, self.right = np.full(M, np.nan), np.zeros(M), np.zeros(M)
-        self.information = np.zeros((M, M))
-        self.residual = self.cost = math.inf
-        self.damping = 0.01
+    score: float
+    size: float
+    angle: float
 
 
 class Sweep:
@@ -183,9 +168,14 @@ class Sweep:
         self.memory = np.zeros((ROWS, 4))
         self.count = self.place = 0
         self.sweeping = False
-        self.radius = self.turn = self.refining = self.iteration = 0
+        self.radius = self.turn = self.rounds = 0
         self.peaks: list[Peak] = []
         self.middle = np.zeros(2)
+
+    def forget(self) -> None:
+        """Discard rows, block and sweep."""
+        self.block, self.count, self.place, self.sweeping = [], 0, 0, False
+        self.doubt = BoardDoubt.FEW_SAMPLES
 
     def take(self, z: Array, h: float, push: Array) -> Array | None:
         """Add a sample, h seconds after the last, to the block; the row that it becomes, if any."""
@@ -207,118 +197,92 @@ class Sweep:
         self.count = min(self.count + 1, ROWS)
         return row
 
-    def look(self, rows: Array) -> bool:
-        """Look at the next candidate; False where the sweep is at its end."""
-        settings, around = self.settings, math.sqrt(2.0) * math.pi
+    @property
+    def rows(self) -> tuple[Array, Array]:
+        """Positions from the middle [m] and velocities of the flow [m/s], (2, rows) each."""
+        x, y, u, v = self.memory[: self.count].T
+        return np.array([x - self.middle[0], y - self.middle[1]]), np.array([u, v])
+
+    def look(self) -> bool:
+        """Evaluate the next candidate; False where the sweep is at its end."""
+        settings = self.settings
         step = self.spacing if settings.any_heading else self.spacing / 2
-        size = around / settings.upper + step * self.radius
-        if size > around / settings.lower + step:
+        size = AROUND / settings.upper + step * self.radius
+        if size > AROUND / settings.lower + step:
             return False
-        turns, angle = 1, math.pi / 4
-        if settings.any_heading:
-            turns = math.ceil(math.pi / 2 * size / step)
-            angle = math.pi / 2 * self.turn / turns
-        self.hold(self.explained(rows, size, angle), size, angle)
+        turns = math.ceil(math.pi / 2 * size / step) if settings.any_heading else 1
+        angle = math.pi / 4 + math.pi / 2 * self.turn / turns
+        self.keep(Peak(self.fit(size, angle)[0], size, angle))
         self.turn = (self.turn + 1) % turns
         self.radius += self.turn == 0
         return True
 
-    def explained(self, rows: Array, size: float, angle: float) -> float:
-        """Share of the rows' squares that two waves at a right angle explain, equally strong."""
-        share, weight, amplitude = 0.0, [], []
-        for k, l in (  # noqa: E741
-            (size * math.cos(angle), size * math.sin(angle)),
-            (-size * math.sin(angle), size * math.cos(angle)),
-        ):
-            phase = rows[:, :2] @ (k, l)
-            s, c, across = np.sin(phase), np.cos(phase), rows[:, 2:] @ (l / size, -k / size)
-            ss, sc, cc = 1.01 * (s @ s), s @ c, 1.01 * (c @ c)  # a little ridge
-            determinant = ss * cc - sc * sc
-            of_sine = (cc * (s @ across) - sc * (c @ across)) / determinant
-            of_cosine = (ss * (c @ across) - sc * (s @ across)) / determinant
-            share += of_sine * (s @ across) + of_cosine * (c @ across)
-            weight.append(2 * determinant / (ss + cc))
-            amplitude.append(math.hypot(of_sine, of_cosine))
-        apart = weight[0] * weight[1] / (weight[0] + weight[1])
-        return float(share - apart * (amplitude[0] - amplitude[1]) ** 2) / self.total
+    def fit(self, size: float, angle: float) -> tuple[float, Array]:
+        """Share of the rows' squares that two waves at a right angle explain, and these (6,)."""
+        place, speed = self.rows
+        k, l = size * math.cos(angle), size * math.sin(angle)  # noqa: E741
+        share, flow = 0.0, np.array([0.0, 0.0, 0.0, 0.0, k, l])
+        for j, (kx, ky) in enumerate(((k, l), (-l, k))):
+            phase, along = kx * place[0] + ky * place[1], (ky * speed[0] - kx * speed[1]) / size
+            columns = size * np.array([-np.sin(phase), np.cos(phase)])
+            normal, right = columns @ columns.T, columns @ along
+            normal[range(2), range(2)] *= 1.01  # a little ridge
+            flow[2 * j : 2 * j + 2] = np.linalg.solve(normal, right)
+            share += flow[2 * j : 2 * j + 2] @ right / self.total
+        return share, flow
 
-    def hold(self, score: float, size: float, angle: float) -> None:
-        """Hold a candidate that is the best of its lobe, and among the best of all."""
-        lobe = (2.6 * self.spacing) ** 2
-        near = (
-            place
-            for place, peak in enumerate(self.peaks)
-            if (size - peak.size) ** 2 + (turned(angle - peak.angle) * size) ** 2 < lobe
-        )
-        place = next(near, len(self.peaks))
-        if place == PEAKS:
-            place = min(range(PEAKS), key=lambda i: self.peaks[i].score)
-        if place == len(self.peaks) or score > self.peaks[place].score:
-            self.peaks[place : place + 1] = [Peak(score, size, angle)]
+    def keep(self, candidate: Peak) -> None:
+        """Keep a candidate that is the best of its lobe and among the best of all."""
+        place = min(range(PEAKS), key=lambda i: self.peaks[i].score)
+        for i, peak in enumerate(self.peaks):
+            across = turned(np.array(candidate.angle - peak.angle)) * candidate.size
+            if (candidate.size - peak.size) ** 2 + across**2 < (2.6 * self.spacing) ** 2:
+                place = i
+        if candidate.score > self.peaks[place].score:
+            self.peaks[place] = candidate
 
-    def refine(self, rows: Array, peak: Peak, *, first: bool) -> bool:
-        """A step of Levenberg and Marquardt for a peak, on all rows; False where there is none."""
-        w, _, by_flow = waves(peak.trial[:, None], *(rows[:, :2] - self.middle).T)
-        error, columns = (rows[:, 2:].T - w).ravel(), np.moveaxis(by_flow, 1, 2).reshape(-1, M)
-        normal, right = columns.T @ columns, columns.T @ error
-        residual, cost = float(error @ error), math.inf
-        if not first:  # the waves are as strong as each other, and lie along the axes
-            values, gradients = features(peak.trial)
-            ties = [UNEVEN] if self.settings.any_heading else [UNEVEN, HEADING]
-            weight = self.total / (20 * len(rows)) / EVEN**2
-            cost = residual + weight * float(np.sum(values[ties] ** 2))
-            right = right - weight * gradients[ties].T @ values[ties]
-            normal = normal + weight * gradients[ties].T @ gradients[ties]
-        if first or cost < peak.cost:
-            peak.flow, peak.information, peak.right = peak.trial, normal, right
-            peak.residual, peak.cost = residual, cost
-            peak.damping = 0.01 if first else peak.damping / 4
-        else:
-            peak.damping *= 6
-        damped = peak.information + np.diag(peak.damping * np.diag(peak.information) + 1e-9)
-        try:
-            np.linalg.cholesky(damped)
-        except np.linalg.LinAlgError:
-            return False
-        peak.trial = peak.flow + np.linalg.solve(damped, peak.right)
-        return True
+    def refine(self, place: int, step: float) -> None:
+        """Move a candidate by a step of k along itself or across, where that is better."""
+        size, angle = self.peaks[place].size, self.peaks[place].angle
+        best = Peak(self.fit(size, angle)[0], size, angle)
+        for way in range(4 if self.settings.any_heading else 2):
+            signed = -step if way % 2 else step
+            size = best.size + (signed if way < 2 else 0.0)
+            angle = best.angle + (0.0 if way < 2 else signed / best.size)
+            moved = Peak(self.fit(size, angle)[0], size, angle)
+            best = moved if moved.score > best.score else best
+        self.peaks[place] = best
 
     def work(self) -> Peak | None:
-        """Do the work of one sample; return the peak that is to be followed, if there is one."""
+        """Do the work of one sample; return the candidate to start filters from, if any."""
         if self.count < FEWEST_ROWS:
             return None
-        rows = self.memory[: self.count]
+        self.middle = self.memory[: self.count, :2].mean(axis=0)
+        place, speed = self.rows
+        self.total = float(np.sum(speed**2))
         if not self.sweeping:
-            extent = max(self.settings.lower, *np.ptp(rows[:, :2], axis=0).tolist())
-            self.spacing, self.sweeping, self.peaks = 2.0 / extent, True, []
-            self.radius = self.turn = self.refining = self.iteration = 0
-        self.total = float(np.sum(rows[:, 2:] ** 2))
-        if not self.refining:
-            looks = (self.look(rows) for _ in range(self.settings.candidates))
-            self.refining = int(not all(looks))
-            self.middle = rows[:, :2].mean(axis=0)
+            self.spacing = 1.0 / max(self.settings.lower / 2, np.abs(place).max())
+            self.sweeping, self.peaks = True, [Peak(0.0, 0.0, 0.0)] * PEAKS
+            self.radius = self.turn = self.rounds = 0
+        if not self.rounds:
+            looks = (self.look() for _ in range(self.settings.candidates))
+            self.rounds = int(not all(looks))
             return None
-        peak = self.peaks[self.refining - 1]
-        if not self.iteration:
-            direction = np.array([math.cos(peak.angle), math.sin(peak.angle)])
-            peak.trial = np.concatenate([np.zeros(4), peak.size * direction])
-        if not self.refine(rows, peak, first=not self.iteration):
-            peak.residual, self.iteration = math.inf, REFINEMENTS
-        self.iteration += 1
-        if self.iteration >= REFINEMENTS:
-            self.iteration, self.refining = 0, self.refining + 1
-        if self.refining <= len(self.peaks):
+        if self.rounds <= PEAKS * ROUNDS:
+            peak, halvings = divmod(self.rounds - 1, ROUNDS)
+            if self.peaks[peak].size > 0.0:
+                self.refine(peak, self.spacing / 2 ** (halvings + 1))
+            self.rounds += 1
             return None
         self.sweeping = False
-        best = min(self.peaks, key=lambda peak: peak.residual)
-        rival, size = math.inf, math.hypot(*best.flow[4:])
-        for peak in self.peaks:
-            own = math.hypot(*peak.flow[4:])
-            if not 0.97 <= size / own <= 1.03 and peak.residual < rival:
-                rival, self.rival = peak.residual, math.sqrt(2.0) * math.pi / own
-        if not best.residual < (1 - EXPLAINED) * self.total:
+        best, rival = max(self.peaks, key=lambda peak: peak.score), 0.0
+        for each in self.peaks:
+            other = each.size == 0.0 or abs(math.log(best.size / each.size)) > 0.03
+            if other and each.score > rival:
+                rival, self.rival = each.score, AROUND / each.size
+        if not best.score > EXPLAINED:
             self.doubt = BoardDoubt.NO_FLOW
-        elif self.count * math.log(rival / best.residual) < EVIDENCE:
+        elif self.count * math.log((1.0 - rival) / (1.0 - best.score)) < EVIDENCE:
             self.doubt = BoardDoubt.RIVAL
         else:
             return best

@@ -1,4 +1,4 @@
-"""Pictures of a flow and of an estimate, in one style, for people and pages."""
+"""Figures of a flow and of an estimate, and their common style."""
 
 from sparsefit.plot.pictures import draw_estimate, draw_flow
 from sparsefit.plot.style import encoded

@@ -1,4 +1,4 @@
-"""Pictures of a flow and of an estimate."""
+"""Figures of a flow and of an estimate."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def vorticity(
     flow: FlowField, position: Array, time: float = 0.0, points: int = 160
 ) -> tuple[tuple[float, float, float, float], Array]:
     """Return the edges (left, right, bottom, top) [m] of a map around positions (m, 2) [m], and
-    there dv_y/dx - dv_x/dy [1/s] of the flow at a time [s], rows along y."""
+    the vorticity dv_y/dx - dv_x/dy [1/s] of the flow there at a time [s], rows along y."""
     low, high = position.min(axis=0), position.max(axis=0)
     room = 0.06 * float((high - low).max()) or 1.0
     low, high = low - room, high + room
@@ -82,7 +82,7 @@ def draw_map(
 
 @styled
 def draw_flow(flow: FlowField, *flights: Flight, length_scale: float = np.nan) -> Figure:
-    """Return a picture of flights over the vorticity of a flow."""
+    """Return a figure of flights over the vorticity of a flow."""
     figure, ((axes,),) = panels(1, 1, height=5.0)
     shades = draw_map(axes, flow, flights, length_scale)
     if shades is not None:
@@ -91,7 +91,7 @@ def draw_flow(flow: FlowField, *flights: Flight, length_scale: float = np.nan) -
 
 
 def axis_unit(largest: float, unit: str) -> tuple[float, str]:
-    """Return by what the values of an axis are divided, and the unit that they then have."""
+    """Return the scale of the values of an axis, and the unit of the scaled values."""
     if unit == "m":
         return (1e3, "km") if largest >= 5e3 else (1.0, unit)
     return (86400.0, "days") if largest >= 3e5 else (3600.0, "h") if largest >= 2e4 else (1.0, unit)
@@ -108,7 +108,7 @@ def draw_estimate(
     """Return the tracks over the flow, the weights, and the residual with its spectrum.
 
     Args:
-        truth: the true length scales [m], where they are known.
+        truth: the true length scales [m], if known.
     """
     figure, ((track, weights), (residual, power)) = panels(2, 2, height=5.9)
     flow = estimate.flow
@@ -159,8 +159,8 @@ def draw_weights(axes: Axes, estimate: Estimate, truth: Sequence[float]) -> None
 def along_track(
     estimate: Estimate, estimator: Estimator, flight: Flight
 ) -> tuple[Samples, Array, Array | None]:
-    """Return the samples of a flight, the velocity (m, 2) [m/s] of the air there, and that less the
-    flow's, where there is one; by the vehicle as it was believed, with what was estimated of it."""
+    """Return the samples of a flight, the air velocity (m, 2) [m/s] there, and its residual, or
+    None without a flow; with the parameters of the vehicle as given or estimated."""
     derivative: Any = estimator.derivative  # a setting that the estimator has resolved
     samples: Samples = derivative(flight)
     own = estimate.flights[0] if estimate.flights else estimate
@@ -176,7 +176,7 @@ def along_track(
 
 
 def _gaps(time: Array) -> IntArray:
-    """Return the places of the samples behind a gap."""
+    """Return the indices of the samples after a gap."""
     steps = np.diff(time)
     return np.flatnonzero(steps > 3.0 * np.median(steps)) + 1
 
@@ -184,7 +184,7 @@ def _gaps(time: Array) -> IntArray:
 def draw_residual(
     axes: Axes, samples: Samples, air: Array, less: Array | None, several: str = ""
 ) -> None:
-    """Draw in time the velocity of the air, less that of a flow where there is one."""
+    """Draw the air velocity in time or, given a flow, its residual."""
     words = "velocity of the air" if less is None else "residual"
     axes.set_title(f"{words}{several}{', no flow found' * (less is None)}")
     scale, unit = axis_unit(float(np.abs(samples.time).max()), "s")
@@ -203,10 +203,10 @@ def draw_residual(
 def draw_spectrum(
     axes: Axes, samples: Samples, air: Array, less: Array | None, length_scale: float
 ) -> None:
-    """Draw the spectra of the velocity of the air and of what a flow leaves of it.
+    """Draw the spectra of the air velocity and of its residual.
 
-    A residual as flat as the sensors' noise has no structure left; the line marks the frequency at
-    which the vehicle meets cells, speed over 2 L.
+    The residual of a correct flow is as flat as the sensor noise; the dotted line is the frequency
+    at which the vehicle crosses cells, speed over 2 L.
     """
     axes.set_title("spectrum")
     piece = max(np.split(np.arange(len(air)), _gaps(samples.time)), key=len)
@@ -220,7 +220,7 @@ def draw_spectrum(
     lowest = 1e-5 * float(whole.max())
     if less is not None:
         rest = spectrum(less[piece], step)[1]
-        lowest = min(lowest, 0.1 * float(np.median(rest)))  # also where nothing but rounding is
+        lowest = min(lowest, 0.1 * float(np.median(rest)))  # of rounding
         for place, name in enumerate("xy"):
             axes.loglog(frequency, rest[:, place], color=COLOURS[place], lw=0.8,
                         label=f"residual {name}")  # fmt: skip

@@ -1,4 +1,4 @@
-"""The style of all pictures, and how a picture becomes the same bytes each time it is drawn."""
+"""The style of all figures, and their reproducible encoding."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Given = ParamSpec("Given")
 Drawn = TypeVar("Drawn", "Figure", "Figure | None")
-# Okabe and Ito: told apart with every common colour vision, and by lightness in grey.
+# Okabe and Ito (2008): distinct with common colour-vision deficiencies.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "D", "v", "P", "X", "*")
 STYLES = ("-", "--", ":", "-.")
@@ -45,29 +45,30 @@ STYLE: dict[Any, Any] = {
     "grid.color": "#E4E4E4",
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
-    "text.parse_math": False,  # names come from files: a "$" in one is a letter
+    "text.parse_math": False,  # a "$" in a name is a letter
     "svg.fonttype": "path",
+    "pdf.fonttype": 42,  # TrueType: publishers refuse Type 3
     "path.simplify": False,
     "savefig.dpi": 150,
 }
 
 
-def styled(draw: Callable[Given, Drawn]) -> Callable[Given, Drawn]:
-    """Return what draws a figure, or nothing, in this style, whatever the user's settings are."""
+def styled(draw: Callable[Given, Drawn], width: float = 7.0) -> Callable[Given, Drawn]:
+    """Return what draws a figure, `width` [in] wide, in this style whatever the user's settings."""
 
     @wraps(draw)
     def drawn(*values: Given.args, **settings: Given.kwargs) -> Drawn:
         import matplotlib as mpl
 
         with mpl.rc_context(), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Glyph", UserWarning)  # letters that the font lacks
+            warnings.filterwarnings("ignore", "Glyph", UserWarning)  # missing in the font
             warnings.filterwarnings("ignore", "Attempting to set identical", UserWarning)
             mpl.rcdefaults()
-            mpl.rcParams.update(STYLE)
+            mpl.rcParams.update(STYLE | {"figure.figsize": (width, width)})
             figure = draw(*values, **settings)
             if figure is None:
                 return figure
-            if layout := figure.get_layout_engine():  # laid out once: saving twice moves nothing
+            if layout := figure.get_layout_engine():  # fixed, so that saving again changes nothing
                 layout.execute(figure)
             figure.set_layout_engine(None)
             return figure
@@ -76,10 +77,11 @@ def styled(draw: Callable[Given, Drawn]) -> Callable[Given, Drawn]:
 
 
 def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:
-    """Return a figure of page width, 7 inches, with a grid of axes that do not overlap."""
+    """Return a figure of the width of its style with a grid of axes that do not overlap."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, height), dpi=150, layout="constrained")
+    figure = Figure(dpi=150, layout="constrained")
+    figure.set_figheight(height)
     grid = figure.subplots(rows, columns, squeeze=False)
     return figure, [list(row) for row in grid]
 
@@ -90,7 +92,7 @@ def logarithmic(axis: Axis, low: float, high: float) -> None:
 
     decades = math.log10(high / low) if 0.0 < low < high else 1.0
     subs = (1.0,) if decades > 2.2 else (1.0, 2.0, 5.0)
-    axis.set_major_locator(LogLocator(subs=subs, numticks=5))  # more would touch each other
+    axis.set_major_locator(LogLocator(subs=subs, numticks=5))  # more would overlap
     axis.set_major_formatter(
         FuncFormatter(lambda value, _: re.sub(r"e\+?(-?)0*", r"e\1", f"{value:g}"))  # 1e-6
     )
@@ -118,10 +120,7 @@ def level_axis(axes: Axes, levels: Array) -> None:
 
 
 def legend(figure: Figure, every: Iterable[Axes]) -> None:
-    """Put one legend above all panels, of what they draw and label, in room of its own.
-
-    The line of the others, which have no name, is the last.
-    """
+    """Put one legend of all labelled lines above the panels, that of grey lines last."""
     handles = {
         str(label): handle
         for axes in every
@@ -141,15 +140,15 @@ def legend(figure: Figure, every: Iterable[Axes]) -> None:
 
 
 def with_unit(words: str, unit: str) -> str:
-    """Return the words of an axis with their unit in brackets, on the line of the last word."""
+    """Return the label of an axis with its unit in brackets, not separated by a line break."""
     return f"{words}\N{NO-BREAK SPACE}[{unit}]" if unit else words
 
 
 def labels(names: Sequence[str], length: int) -> dict[str, str]:
-    """Return names on lines of at most `length` letters that keep the words in which they differ.
+    """Return names in lines of at most `length` letters that stay distinct.
 
-    Where one is longer, the words that all share are left out; what is then longer than a line has
-    up to three, and of what is longer still its middle is left out.
+    If a name is longer, the words that all names share are removed; a name that is still longer has
+    up to three lines, of a longer one the middle is removed.
     """
     words = [re.split(r"(?<=[\s,:;])(?=\S)", name) for name in names]
     shared = set(words[0]).intersection(*map(set, words[1:])) if len(words) > 1 else set()
@@ -157,7 +156,7 @@ def labels(names: Sequence[str], length: int) -> dict[str, str]:
         shared.clear()
     differ = ["".join(part for part in parts if part not in shared) for parts in words]
     if any(re.fullmatch(r"[^a-zA-Z]*\s[^a-zA-Z]*\S", text.strip(" ,:;")) for text in differ):
-        differ = ["".join(parts) for parts in words]  # of several numbers nobody knows which
+        differ = ["".join(parts) for parts in words]  # numbers without their words
     short: dict[str, str] = {}
     for name, rest in zip(names, differ, strict=True):
         text = rest.strip(" ,:;") or name
@@ -168,7 +167,7 @@ def labels(names: Sequence[str], length: int) -> dict[str, str]:
 
 
 def wrapped(text: str, width: int) -> str:
-    """Return text on lines of at most `width` letters; a pair, `0 / 0`, stands on one."""
+    """Return text in lines of at most `width` letters; a pair, `0 / 0`, is not divided."""
     lines = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}").split("\n")
     return "\n".join(textwrap.fill(line, width, break_on_hyphens=False) for line in lines)
 
@@ -177,7 +176,7 @@ def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:
     """Return a figure as the bytes of a file: `.svg`, `.png` or `.pdf`.
 
     Args:
-        name: by which the parts of an SVG are named apart from those of others on one page.
+        name: makes the ids in an SVG unique on a page.
     """
     import matplotlib as mpl
 

@@ -1,4 +1,4 @@
-"""What a fit answers: a back-end's weights with what the caller verified about them."""
+"""The results of `fit` and `path`: weights with the certificate that the caller computed."""
 
 import html
 import math
@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(Brief):
-    """A back-end's weights with what the caller verified about them.
+    """The weights of a back-end on one problem, with their certificate.
 
-    weights (k, n) in the original units of theta, NaN throughout where there is no solution;
-    status ``ok``, ``inaccurate`` (certificate, with what rounding can hide of it, above tolerance),
-    ``unidentifiable`` or ``error``, with its reason; seconds of the solve; ``repaired``: the
-    certificate rejected the fast path's answer and this one is the referee's. ``criterion`` (30,):
-    by what the back-end's alpha_fraction was chosen, from 1 to 1e-3, where "auto" was asked for.
+    weights: (k, n) in the original units of theta, all NaN where there is no solution.
+    status: ``ok``; ``inaccurate`` where the certificate plus its rounding bound exceeds the
+    tolerance; ``unidentifiable``; or ``error``. reason: the cause of any status but ``ok``.
+    seconds: wall time of the solve. repaired: whether the certificate rejected the exact path's
+    weights and these are the referee's. criterion: (30,), the values compared to choose an
+    alpha_fraction of "auto", from alpha_fraction 1 to 1e-3; None otherwise.
     """
 
     weights: Array
@@ -56,37 +57,46 @@ class Fit(Brief):
     @property
     def intercept(self) -> Array:
         """The intercept (n,) in the unit of the target; 0 where the problem has none."""
-        return self.problem.intercept_of(self.weights)
+        if not isinstance(self.backend, PenalisedBackend):
+            return self.problem.intercept_of(self.weights)
+        loss = self.backend.penalty(self.problem).loss
+        return self.problem.intercept_of(self.weights, loss)
 
     def predict(self, theta: Any) -> Array:
-        """The target at theta (r, k), an array, frame or sparse matrix: (r,) of one target, (r, n).
+        """theta W + intercept for theta (r, k): shape (r,) of one target, (r, n) of several.
 
-        Columns of a frame are taken by the names that the problem has, in whatever order they are;
-        a frame that has none of these is an array. Raises InputError where a column is missing.
+        theta: an array, frame or sparse matrix. Columns of a frame are matched to the problem's by
+        name, in any order; a frame with none of these names is matched by position. Raises
+        InputError where a column is missing or the number of columns differs.
         """
         names = self.problem.names
         labels = {str(label): label for label in getattr(theta, "columns", ())}
         if len(set(names)) == len(names) and not labels.keys().isdisjoint(names):
             if missing := [name for name in names if name not in labels]:
-                raise InputError(f"predict needs the column {missing[0]!r}, and theta has it not")
+                raise InputError(
+                    f"predict needs the column {missing[0]!r}, which theta does not have"
+                )
             theta = theta[[labels[name] for name in names]]
         values = getattr(theta, "to_numpy", lambda: theta)()
         is_sparse = hasattr(values, "tocsr")
-        rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))
+        try:
+            rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))
+        except (TypeError, ValueError) as error:
+            raise InputError(f"predict needs an array of real numbers: {error}") from None
         if rows.shape[1] != self.problem.columns:
             raise InputError(f"predict needs {self.problem.columns} columns, not {rows.shape[1]}")
         out: Array = np.asarray(rows @ self.weights) + self.intercept
         return out[:, 0] if out.shape[1] == 1 else out
 
     def to_frame(self) -> "pd.DataFrame":
-        """Weights (k, n) with a row per column of theta and a column per target, by their names."""
+        """The weights (k, n) as a frame: a row per column of theta, a column per target."""
         import pandas as pd
 
         names = pd.Index(self.problem.names, name="column")
         return pd.DataFrame(self.weights, index=names, columns=list(self.problem.target_names))
 
     def _repr_html_(self) -> str:
-        """A heading and the 30 largest weights, as HTML."""
+        """Status, certificate and the 30 largest weights, as HTML."""
         verified, support = self.certificate, self.support
         proof = f"{verified.kind} {verified.value:.1e}" if verified else "no certificate"
         penalty = "" if math.isnan(self.alpha) else f", alpha {self.alpha:.4g}"
@@ -102,16 +112,16 @@ class Fit(Brief):
 
     @property
     def support(self) -> IntArray:
-        """Indices (c,) of the columns with a weight that is not zero for some target."""
+        """Indices (c,) of the columns with a nonzero weight for any target."""
         return np.flatnonzero(np.any((self.weights != 0) & np.isfinite(self.weights), axis=1))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Path(Brief):
-    """Fits along a path of penalties, in the order asked for: alpha = alpha_fraction * alpha_max.
+    """Fits along a path of penalties, in the requested order: alpha = alpha_fraction * alpha_max.
 
-    alpha_fractions (p,); alpha_max: the smallest alpha whose solution is zero, in the unit of the
-    target, that of Z'Y/m; fits: p of them; seconds: of all, certificates included.
+    alpha_fractions: (p,). alpha_max: the smallest alpha whose solution is zero, in the unit of the
+    target (columns have unit rms). fits: p of them. seconds: wall time, with the certificates.
     """
 
     alpha_fractions: Array
@@ -125,9 +135,9 @@ class Path(Brief):
         return self.alpha_fractions * self.alpha_max
 
     def to_frame(self) -> "pd.DataFrame":
-        """Weights with a row per penalty, by alpha_fraction and alpha, and the columns of theta.
+        """The weights as a frame: a row per penalty, indexed by alpha_fraction and alpha.
 
-        Of several targets the columns are pairs (target, column).
+        Its columns are those of theta, or with several targets the pairs (target, column).
         """
         import pandas as pd
 
@@ -143,15 +153,16 @@ class Path(Brief):
         return pd.DataFrame(flat, index=index, columns=columns)
 
     def plot(self, axes: Any = None) -> Any:
-        """Weights of columns of unit rms over alpha / alpha_max, on axes of matplotlib.
+        """Plot the weights of columns of unit rms against alpha / alpha_max.
 
-        axes: new ones by default. The ten largest have a name in the legend; a penalty whose
-        certificate is above its tolerance has a mark. Returns the axes.
+        axes: of matplotlib; None creates them. The legend names the ten largest weights; a cross
+        marks each penalty that is not certified. Returns the axes.
         """
         frame, problem = self.to_frame().droplevel("alpha"), self.fits[0].problem
         frame = (frame * np.tile(problem.design.rms, problem.targets)).sort_index(ascending=False)
-        frame = frame.loc[:, (frame.fillna(0.0) != 0.0).any()]
-        frame = frame[frame.abs().max().sort_values(ascending=False, kind="stable").index]
+        size = frame.abs().max().fillna(0.0).to_numpy()
+        largest = np.argsort(-size, kind="stable")[: max(np.count_nonzero(size), 1)]
+        frame = frame.iloc[:, largest]
         frame.columns = [c if isinstance(c, str) else f"{c[1]} of {c[0]}" for c in frame.columns]
         doubtful = [fit.alpha_fraction for fit in self.fits if fit.status != "ok"]
         axes = frame.plot(ax=axes, logx=True, linewidth=1.0, legend=False)
@@ -165,7 +176,7 @@ class Path(Brief):
         return axes
 
     def _repr_html_(self) -> str:
-        """A row per penalty: its size, columns in use, status and certificate, as HTML."""
+        """A table of penalty, columns in use, status and certificate, as HTML."""
         import pandas as pd
 
         content = {

@@ -1,4 +1,4 @@
-"""What a back-end is: frozen settings and a pure ``solve``."""
+"""Back-ends as records of settings with a pure ``solve``, and code of other packages."""
 
 import sys
 import warnings
@@ -45,12 +45,11 @@ Selection = Literal["bic", "cross-validation"]
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The answer of a back-end: weights (k, n) in original units, or the reason why not.
+    """The weights (k, n) of a back-end, in original units; None, never zeros, without a solution.
 
-    ``status`` and ``reason`` are the back-end's own word; ``solver_status`` the solver's,
-    verbatim. Weights are None where there is no solution, never zeros.
-    ``shared_seconds``: what a factorisation cost that this answer needs and an earlier one made.
-    ``clock``: wall and CPU [s] of the whole path, of a solver that is timed where it runs.
+    status, reason: as the back-end reports them; solver_status: the solver's own, verbatim.
+    shared_seconds: time of a factorisation that this solution uses and an earlier one computed.
+    clock: wall and CPU time [s] of the whole path, of a solver that measures its own.
     """
 
     weights: Array | None
@@ -66,16 +65,16 @@ class Solution:
 class Backend(Protocol):
     """A sparse regression back-end: a frozen dataclass whose fields are its settings.
 
-    ``certificate_kind``: ``duality_gap`` back-ends also have ``alpha_fraction`` and
-    ``penalty(problem)``, ``normal_equations`` ones ``rcond``, and ``fixed_point`` ones
-    ``next_weights(problem, weights)``, what one more iteration makes of these.
+    By its ``certificate_kind`` it also has: of ``duality_gap``, ``alpha_fraction`` and
+    ``penalty(problem)``; of ``normal_equations``, ``rcond``; of ``fixed_point``,
+    ``next_weights(problem, weights)``, the weights after one more iteration.
     """
 
     name: ClassVar[str]
     certificate_kind: ClassVar[CertificateKind]
 
     def solve(self, problem: RegressionProblem) -> Solution:
-        """Weights for the problem; pure, and never zeros for a failure."""
+        """The solution of the problem; the method is pure and does not modify its arrays."""
         ...
 
 
@@ -83,7 +82,7 @@ class Backend(Protocol):
 class PenalisedBackend(Backend, Protocol):
     """A back-end with a penalty: 1/(2m)|Y - ZV|^2 + alpha * penalty, alpha = fraction * alpha_max.
 
-    Of one that is not convex (``fixed_point``) the penalty gives alpha_max alone.
+    Of a non-convex one (``fixed_point``) the penalty determines alpha_max only.
     """
 
     @property
@@ -98,7 +97,7 @@ class PenalisedBackend(Backend, Protocol):
 
 @runtime_checkable
 class PathBackend(PenalisedBackend, Protocol):
-    """A back-end that solves a path of penalties for little more than one costs."""
+    """A back-end that solves a path of penalties at once."""
 
     def solve_path(
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]
@@ -107,12 +106,12 @@ class PathBackend(PenalisedBackend, Protocol):
         ...
 
     def referee(self) -> "PathBackend | None":
-        """The slower, independent solver of the same problem; None where this is it."""
+        """An independent, slower back-end for the same problem; None of the referee itself."""
         ...
 
 
 def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> None:
-    """Raise InputError unless value is a penalty fraction in (0, 1], or "auto" where it may be."""
+    """Raise InputError unless value is in (0, 1], or "auto" where ``auto`` is true."""
     if auto and isinstance(value, str) and value == "auto":
         return
     words = "it is the penalty as a fraction of the smallest one whose solution is zero"
@@ -121,7 +120,7 @@ def checked_alpha_fraction(owner: str, value: Any, *, auto: bool = False) -> Non
 
 
 def numeric_fraction(owner: str, value: AlphaFraction) -> float:
-    """The penalty fraction where one is needed. Raises InputError on "auto"."""
+    """The penalty fraction as a number. Raises InputError on "auto"."""
     if isinstance(value, str):
         words = f'alpha_fraction "{value}" is chosen by sparsefit.fit; solve needs a number'
         raise InputError(f"{owner}: {words}")
@@ -129,16 +128,16 @@ def numeric_fraction(owner: str, value: AlphaFraction) -> float:
 
 
 def setting(default: Any, **limits: Any) -> Any:
-    """The field of a `Checked` number: ``least`` of an integer, else as in `number_setting`."""
+    """A field of `Checked` with limits: ``least`` for an integer, or those of `number_setting`."""
     return field(default=default, metadata=limits)
 
 
 @dataclass(frozen=True)
 class Checked:
-    """Base of frozen back-ends whose settings are checked as their fields are declared.
+    """Base of back-ends that validates settings by the declaration of their fields.
 
-    Flags and literals are checked by their types, numbers by the limits of `setting`; None passes
-    where the type has it. Raises InputError.
+    Flags and literals by their types, numbers by the limits of `setting`; None where the type
+    admits it. Raises InputError.
     """
 
     name: ClassVar[str]
@@ -168,14 +167,14 @@ def settings_of(backend: Any) -> dict[str, Any]:
 
 @cache
 def plugins(group: str, ours: tuple[str, ...]) -> "Mapping[str, EntryPoint]":
-    """The entry points of other packages in a group by name, but for names that are ours."""
-    from importlib.metadata import entry_points  # of no use to our own back-ends, and slow
+    """The entry points of a group by name, without the names that the package has itself."""
+    from importlib.metadata import entry_points  # slow, and not needed by back-ends of this package
 
     return {entry.name: entry for entry in entry_points(group=group) if entry.name not in ours}
 
 
 def imported(where: str, load: Callable[[], Any]) -> Any:
-    """The answer of code of others on import. Raises InputError whatever that raises."""
+    """The value of ``load()``, which imports other code. Raises InputError for any exception."""
     try:
         with quiet():
             return load()
@@ -184,27 +183,30 @@ def imported(where: str, load: Callable[[], Any]) -> Any:
 
 
 def checked_class(where: str, cls: Any, method: str, *texts: str) -> Any:
-    """The class, a dataclass with a method and with texts. Raises InputError on any other."""
+    """The class, if a dataclass with this method and these class attributes of text.
+
+    Raises InputError on any other.
+    """
     if not (is_dataclass(cls) and callable(getattr(cls, method, None))):
         raise InputError(f"{where} is not a frozen dataclass with a `{method}` method")
     for text in texts:
         if not isinstance(getattr(cls, text, None), str):
-            raise InputError(f"{where} has no `{text}`, a text that its class holds")
+            raise InputError(f"{where} has no `{text}`, a class attribute that is text")
     return cls
 
 
 def unknown_setting(what: str, key: str, valid: Collection[str]) -> InputError:
-    """The error for a setting that there is not; alpha is the fraction of ours, as a rule."""
+    """The error for an unknown setting; of ``alpha`` it explains alpha_fraction."""
     if key != "alpha" or "alpha_fraction" not in valid:
         return unknown(what, key, valid)
     words = "the penalty over the smallest one whose weights are all zero, in (0, 1]"
-    return InputError(f'unknown {what} "alpha": set alpha_fraction, {words}; a fit tells its alpha')
+    return InputError(f'unknown {what} "alpha": set alpha_fraction, {words}; see Fit.alpha')
 
 
 def made(what: str, cls: Any, settings: Mapping[str, Any], **preset: Any) -> Any:
-    """``cls(**settings, **preset)``, a dataclass; what: `back-end 'lasso'`, say.
+    """``cls(**settings, **preset)`` of a dataclass; what: its name in messages.
 
-    Raises InputError on an unknown setting, and on values that code of others refuses.
+    Raises InputError on an unknown setting or a value that the class refuses.
     """
     valid = [item.name for item in fields(cls) if item.init and item.name not in preset]
     for key in settings:
@@ -222,10 +224,10 @@ def made(what: str, cls: Any, settings: Mapping[str, Any], **preset: Any) -> Any
 def heard(
     name: str, call: Callable[[], Any], passes: type[Exception] | tuple[()] = ()
 ) -> tuple[Any, Solution]:
-    """A public solver's answer, None where it raises, and a `Solution` of its words alone.
+    """The return value of a public solver, None where it raises, and a `Solution` without weights.
 
-    An exception becomes the status ``error``; a warning ``inaccurate``, with its first words.
-    ``passes``: an exception that is the caller's.
+    The solution has the status ``error`` of an exception, ``inaccurate`` of a warning. passes: a
+    type of exception that is not caught.
     """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -249,6 +251,6 @@ def heard(
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Send what code of others prints to stderr: it is no output of ours."""
+    """Redirect what other code prints to stderr."""
     with redirect_stdout(sys.stderr):
         yield

@@ -1,4 +1,4 @@
-"""What the caller verifies about a fit; for convex ones a duality gap with a bound of its rounding.
+"""Certificates of fits: for convex penalties a duality gap with a bound of its rounding error.
 
 In the notation of `losses` and `penalties`, with R = Y - Z V, u the derivative of the loss by R
 (times m) and, for each target t,
@@ -6,17 +6,16 @@ In the notation of `losses` and `penalties`, with R = Y - Z V, u the derivative 
     C = Z'u/m,   r_t = |u_t|^2/m,   q_t = <u_t, Y_t>/m,   y_t = |Y_t|/sqrt(m),   l_t = |V_t|_1,
 
 the loss gives P and, at the dual point s u/m, D, less the penalty's conjugate at s C: that of a
-norm is 0 where s times the dual norm of C is <= alpha, and infinite elsewhere; where weights have
-bounds it is finite, and s = 1 is the best at the optimum (s is tried from 1 down, so that bounds
-that are far off cost nothing where C is above alpha by rounding, or not solved yet). Targets that
-nothing couples have an s each. The gap is P - D over P at V = 0. A ridge mu/2 |V|^2, mu = alpha
-rho, is k more rows of Z, sqrt(m mu) I, with targets of zero: with F = V there, C becomes C - mu F,
-r becomes r + mu |F|^2 and q stays. Where there is no norm, F = C/mu is the better dual point, and
-obeys the constraint C = 0 that is left then.
+norm is 0 where s times the dual norm of C is <= alpha, and infinite elsewhere. For bounded weights
+it is finite, and s = 1 is the best at the optimum; s is tried from 1 down, as wide bounds make any
+excess of C over alpha by rounding expensive. Targets that no block couples have an s each. The gap
+is P - D over P at V = 0. A ridge mu/2 |V|^2, mu = alpha rho, is k more rows of Z, sqrt(m mu) I,
+with targets of zero: with F = V there, C becomes C - mu F, r becomes r + mu |F|^2 and q stays.
+Without a norm, F = C/mu is the better dual point, and obeys the remaining constraint C = 0.
 
-Where a square-root fit leaves no residual, s R says nothing of the dual optimum. But at an optimum
-of weights with signs s on columns A, Z_A'u/m = alpha s, and of all these u that of least norm is
-Z_A w, w = G_AA^-1 s alpha. It is a dual point whatever the signs are: the better of both counts.
+Where a square-root fit has no residual, s R is no approximation of the dual optimum. But at an
+optimum of weights with signs s on columns A, Z_A'u/m = alpha s, and of all these u that of least
+norm is Z_A w, w = G_AA^-1 s alpha. It is a dual point for any signs; the better of both counts.
 
 Rounding. With u = 2^-53 and gamma_N = N u/(1 - N u), a sum of N products in any order (in blocks,
 in vectors, fused or not) is off by at most gamma_N times the sum of their moduli; N is the number
@@ -28,11 +27,13 @@ terms of second order (N < 1e8),
     |err C| <= gamma_N a + rho,   |err q| <= y |err C|,   |err r| <= (2a + rho) |err C|
 
 where rho = gamma_{c + 8} (y + l) is by how much the rms of R itself is off, and 0 of Z_A w; both
-are larger by the `spread` of a design off which a mean was taken.
+are larger by the `spread` of a design off which a mean was taken. With Huber's loss u_i is exact in
+a row beyond the knot by more than its rounding: rho is that of the other rows, and an outlier of
+any size moves P by its own rounding times |u_i| alone.
 
-What these leave open is reported as ``rounding``: the dual point's limit is taken with |C| raised
-by its error, P and D are moved by theirs, and value + rounding is the relative gap that remains, an
-upper bound in exact arithmetic. No product underflows: `problem` refuses what is so small.
+The field ``rounding`` is the sum of these errors: the limit of s is taken with |C| raised by its
+error, P and D are moved by theirs, and value + rounding is an upper bound of the relative gap in
+exact arithmetic. No product underflows, as `problem` refuses norms that are so small.
 
 Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), sections 3.1 and 3.5.
 """
@@ -45,7 +46,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.regression.design import Design
-from sparsefit.regression.losses import RootSquares
+from sparsefit.regression.losses import RootSquares, Squares
 from sparsefit.regression.penalties import Penalty, SquaredNorm
 
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
@@ -57,16 +58,14 @@ SHARES = (1.0, *(1.0 - np.geomspace(1e-14, 0.1, 14)), *np.geomspace(0.8, 1e-8, 2
 
 @dataclass(frozen=True)
 class Certificate:
-    """The bound that the caller verified of a fit.
+    """A bound of the error of a fit, computed from the data and the weights.
 
-    ``duality_gap``: (primal - dual) over the primal at zero weights, an upper bound of the relative
-    suboptimality; ``rounding``: what rounding can hide at most, so that value + rounding is a
-    proven bound; NaN where none is known.
-    ``normal_equations``: largest |v'theta'R| / (s_max |Y|) over the retained right singular
-    vectors v of theta.
-    ``fixed_point``: the larger of two: the share of the coefficients whose membership of the
-    support one more iteration would change, and by how much it would move the fit, |Z dV| / |Y|;
-    it claims no optimum.
+    kind ``duality_gap``: value = (primal - dual) over the primal at zero weights, an upper bound of
+    the relative suboptimality; rounding: a bound of its rounding error, so that value + rounding is
+    proven; NaN where unknown. ``normal_equations``: the largest |v'theta'R| / (s_max |Y|) over the
+    retained right singular vectors v of theta. ``fixed_point``: the larger of the share of
+    coefficients that enter or leave the support in one more iteration and of the change of fitted
+    values, |Z dV| / |Y|; no optimum is claimed.
     """
 
     kind: CertificateKind
@@ -77,7 +76,7 @@ class Certificate:
 
     @property
     def bound(self) -> float:
-        """The value with all that rounding can hide of it; the value where that is not known."""
+        """value + rounding; the value alone where the rounding error is unknown."""
         return self.value + (0.0 if math.isnan(self.rounding) else self.rounding)
 
 
@@ -97,7 +96,7 @@ class DualPoint:
     def of(
         cls, design: Design, target: Array, pull: Array, gamma: float, rho: Array | float = 0.0
     ) -> "DualPoint":
-        """The point of ``pull`` u (m, p n), whose rms is off by rho (p, n)."""
+        """The point of ``pull`` u (m, p n), whose rms has an error of up to rho (p, n)."""
         n, k = target.shape[1], design.shape[1]
         wide = np.tile(target, (1, pull.shape[1] // n))
         square, product, whole = (
@@ -111,7 +110,7 @@ class DualPoint:
         return cls(correlation, square, product, *errors, gamma)
 
     def with_ridge(self, scaled: Array, alphas: Array, penalty: Penalty) -> "DualPoint":
-        """The point with the rows of the ridge, whose part of it is F (p, k, n)."""
+        """The point extended by the rows of the ridge, with entries F (p, k, n)."""
         mu = (alphas * penalty.ridge)[:, None]
         part, loose = scaled, np.zeros_like(self.square)
         if isinstance(penalty, SquaredNorm):
@@ -128,7 +127,7 @@ class DualPoint:
         )
 
     def bounds(self, alphas: Array, penalty: Penalty, level: Array) -> tuple[Array, Array]:
-        """D (p,) as computed, and what it is at least."""
+        """D (p,) as computed, and a lower bound of it."""
         square, product, wider = self.square, self.product, self.correlation_error
         loose, off = self.square_error, self.product_error
         peaks, raised = (penalty.constraint(self.correlation, by) for by in (0.0, wider))
@@ -140,7 +139,7 @@ class DualPoint:
         longer = longer if isinstance(penalty.loss, RootSquares) else square  # a limit of s there
 
         def largest(peaks: Array, limiting: Array, certain: bool) -> Array:
-            """D at the best s with s * peaks <= alpha, less what it may be off by."""
+            """D at the best s with s * peaks <= alpha, less its error where ``certain``."""
             with np.errstate(divide="ignore", invalid="ignore"):
                 limit = np.where(peaks > 0, alphas[:, None] / peaks, np.inf)
             limits = [limit]
@@ -182,18 +181,19 @@ def duality_gaps(
 def _gaps(
     design: Design, target: Array, scaled: Array, alphas: Array, penalty: Penalty
 ) -> list[Certificate]:
-    """Certificates of V = ``scaled`` (p, k, n): P, D, the gap, and what rounding leaves open."""
+    """Certificates of V = ``scaled`` (p, k, n): P, D, the gap and its rounding error."""
     (count, k, n), loss = scaled.shape, penalty.loss
+    data, target = target, loss.centred(target)
     level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
     used = int(np.count_nonzero(scaled.any(axis=(0, 2))))
     gamma = rounding_of(design.terms + 2 * used * n + 20)
     values = np.ascontiguousarray(scaled.transpose(1, 0, 2)).reshape(k, count * n)
     rest = np.tile(target, (1, count)) - design.predict(values)
-    reach = loss.bound(target)
-    bound = np.tile(reach, count)
-    pull = rest if np.isinf(bound).all() else np.clip(rest, -bound, bound)
+    size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
+    rho, pull, linear = unit * (level + size), rest, np.zeros(count)
+    if np.isfinite(loss.clip):
+        rest, pull, rho, linear = _clipped(design, data, loss, rest, size, unit)
     overlap = np.einsum("iq,iq->q", pull, rest).reshape(count, n) / design.samples
-    rho = design.spread * rounding_of(used + 8) * (level + np.abs(scaled).sum(axis=1))
     point = DualPoint.of(design, target, pull, gamma, rho)
     primal = loss.primal(point.square, overlap, level) + alphas * penalty.value(scaled)
     loose, total = point.square_error.sum(axis=1), float(np.sum(level**2))
@@ -202,9 +202,9 @@ def _gaps(
         moved = np.sqrt(square + loose) - np.sqrt(np.maximum(square - loose, 0.0))
         doubt, whole = np.sqrt(total) * moved, total
     else:
-        cut = np.clip(target, -reach, reach)
-        null = np.einsum("it,it->t", cut, target - 0.5 * cut) / design.samples
-        doubt, whole = 0.5 * loose, float(np.minimum(null, 0.5 * level**2).sum())
+        start, cut = loss.clipped(target, loss.bound(target))
+        null = np.einsum("it,it->t", cut, start - 0.5 * cut) / design.samples
+        doubt, whole = 0.5 * loose + linear, float(np.minimum(null, 0.5 * level**2).sum())
     doubt, whole = doubt + gamma * primal, whole or 1.0
     full = point.with_ridge(scaled, alphas, penalty) if penalty.ridge else point
     certificates = []
@@ -218,6 +218,35 @@ def _gaps(
         bounds = float(primal[i]), float(dual), max(most - gap, 0.0)
         certificates.append(Certificate("duality_gap", gap, *bounds))
     return certificates
+
+
+def _clipped(
+    design: Design, target: Array, loss: Squares, rest: Array, size: Array, unit: float
+) -> tuple[Array, Array, Array, Array]:
+    """R - b e and u (m, p n) of Huber's loss, and the errors of the rms of u (p, n) and of P (p,).
+
+    rest: R, with the target centred; size: l (p, n); unit: gamma_{c + 8} times the spread.
+    """
+    (count, n), m = size.shape, design.samples
+    centred, reach = loss.centred(target), np.tile(loss.bound(target), (1, count))
+    residual, pull = loss.clipped(rest, reach)
+    each = np.abs(rest - residual) + np.tile(np.abs(centred), (1, count))
+    each *= unit
+    if loss.direction is not None and np.ptp(loss.direction) > 0.0:  # else it is off along e alone
+        each += 2.0**-53 * np.tile(np.abs(target - centred), (1, count))
+    # |z_ij| <= spread sqrt(m) in columns of unit rms, and their means are no larger.
+    near = np.abs(residual) < reach + each + 2.0 * np.sqrt(m) * unit * size.ravel()
+    rho = np.sqrt(np.square(each * near).sum(axis=0) / m).reshape(count, n) + unit * size
+    root = np.sqrt(np.square(pull).sum(axis=0) / m).reshape(count, n)
+    linear = np.einsum("iq,iq->q", np.abs(pull), each).reshape(count, n) / m + root * unit * size
+    if loss.direction is not None:  # u - e e'u is the dual point, once its entries are c at most
+        along = np.abs(loss.direction @ pull)
+        along += rounding_of(design.terms + 20) * np.sqrt(m) * root.ravel()
+        product = np.einsum("iq,iq->q", np.abs(pull), np.tile(np.abs(centred), (1, count))) / m
+        lost = product * loss.direction.max() / reach.max(axis=0)  # one ratio in all rows
+        lost += np.tile(np.linalg.norm(centred, axis=0) / m, count)
+        linear += (along * lost).reshape(count, n)
+    return residual, pull, rho, linear.sum(axis=1)
 
 
 def of_signs(design: Design, target: Array, scaled: Array, gamma: float) -> list[DualPoint]:
@@ -236,6 +265,6 @@ def of_signs(design: Design, target: Array, scaled: Array, gamma: float) -> list
 
 
 def rounding_of(count: int) -> float:
-    """gamma_N = N u / (1 - N u), by how much a sum of N products can be off, relative."""
+    """gamma_N = N u / (1 - N u), the relative error bound of a sum of N products."""
     unit = 2.0**-53  # the relative rounding of one operation
     return count * unit / (1.0 - count * unit)

@@ -1,15 +1,14 @@
-"""Columns on demand: a design matrix theta (m, k) as the few sums over its rows that solvers need.
+"""Columns on demand: a design matrix theta (m, k) by the sums over its rows that solvers need.
 
 Everywhere Z has the columns of theta in unit rms, z_j = theta_j / rms_j, and sums over the rows are
-divided by the number m of samples. A design is asked for
+divided by the number m of samples. A design computes
 
     rms (k,),   Z'R/m (k, n),   Z V (m, n),   Z_J (m, j),   Z_J'Z_K/m (j, l),
 
-and never for Z'Z of all columns at once unless somebody asks. Its rows are read in blocks: those of
-an array in memory so long that they stay in cache, those of a file or of whatever can be sliced as
-long as memory allows; a sparse matrix is one block, of which zeros are neither stored nor summed,
-and so is a dask array, whose sums are formed where its own blocks are (a block that is lost with
-its worker is made again there).
+and Z'Z of all columns on request only. Its rows are read in blocks: of an array in memory short
+enough to stay in cache, of a file or any source of row slices as long as memory allows. A sparse
+matrix is one block, whose zeros are neither stored nor summed, and so is a dask array, whose sums
+are formed where its own blocks are (a block lost with its worker is computed again there).
 
 Rounding: with u = 2^-53, a sum that is formed in blocks of b terms, B of them, is off by at most
 gamma_{b + B} times the sum of the moduli (Higham 2002, section 4.2); `terms` is that b + B. Where a
@@ -54,7 +53,7 @@ class Design:
 
     @cached_property
     def kind(self) -> str:
-        """Where the columns are: `dense`, `sparse` or `dask`."""
+        """The storage of the columns: `dense`, `sparse` or `dask`."""
         package = type(self.source).__module__.partition(".")[0]
         return {"scipy": "sparse", "dask": "dask"}.get(package, "dense")
 
@@ -65,7 +64,7 @@ class Design:
 
     @property
     def in_memory(self) -> bool:
-        """Whether the rows are an array in memory, and not a file's or another's."""
+        """Whether the rows are an array in memory, not a file or another source."""
         return isinstance(self.source, np.ndarray) and not isinstance(self.source, np.memmap)
 
     @property
@@ -75,7 +74,7 @@ class Design:
 
     @cached_property
     def terms(self) -> int:
-        """The number of terms that rounding of a sum over the rows grows with."""
+        """The number N of terms in the rounding bound gamma_N of a sum over the rows."""
         if self.kind == "sparse":  # the fullest column: a sum over the rows has no other terms
             count = int(np.diff(self.source.indptr).max())
         elif self.kind == "dask":
@@ -86,7 +85,7 @@ class Design:
         return count if self.direction is None else 3 * count + 8  # three sums in place of one
 
     def blocks(self) -> Iterator[tuple[slice, Any]]:
-        """Slices of the rows, and theta there, with its weights."""
+        """Slices of the rows with the weighted rows of theta in each."""
         if self.kind != "dense":
             yield slice(None), self._weighted
             return
@@ -99,7 +98,7 @@ class Design:
     def digest(self) -> bytes:
         """A digest of up to 512 entries of what is in memory; empty of files and of dask arrays.
 
-        It tells that an array was changed in place as a whole; a single entry is not noticed.
+        It detects an array that was changed in place as a whole, but not a single entry.
         """
         values = self.source.data if self.kind == "sparse" else self.source
         if self.kind == "dask" or not (self.kind == "sparse" or self.in_memory):
@@ -117,9 +116,9 @@ class Design:
 
     @cached_property
     def csc(self) -> Any:
-        """The matrix of a sparse design with its weights, off which no means were taken.
+        """The weighted, uncentred matrix of a sparse design.
 
-        Its indices are 32-bit integers, as compiled loops read them, unless they are too many.
+        Its indices are 32-bit integers, as compiled loops read them, unless it has 2^31 entries.
         """
         matrix = self._weighted
         if matrix.indices.dtype == np.int32 or matrix.nnz >= 2**31:
@@ -129,13 +128,13 @@ class Design:
 
     @cached_property
     def means(self) -> Array:
-        """e'theta (k,), of the direction that was taken off; zeros where there is none."""
+        """e'theta (k,) along the direction that is projected off; zeros without one."""
         if self.direction is None:
             return np.zeros(self.shape[1])
         return replace(self, direction=None).raw_correlate(self.direction[:, None])[:, 0]
 
     def off(self, rows: Array) -> Array:
-        """R (m, n) without its part along the direction, if there is one."""
+        """(I - e e') R (m, n); R without a direction."""
         if self.direction is None:
             return rows
         return rows - np.multiply.outer(self.direction, self.direction @ rows)
@@ -144,8 +143,8 @@ class Design:
     def squares(self) -> Array:
         """The squares of the columns' norms (k,), in the units of theta, finite or not.
 
-        Where a mean was taken off, by differences where few digits cancel; a column that is
-        constant to rounding counts as zero.
+        Of a centred column: a difference where few digits cancel; 0 where it is constant to
+        rounding.
         """
         total = np.zeros(self.shape[1])
         with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
@@ -176,7 +175,7 @@ class Design:
 
     @cached_property
     def spread(self) -> float:
-        """The largest rms of a column before its mean was taken off, over that after."""
+        """The largest ratio of a column's rms before centring to that after; 1 without centring."""
         if self.direction is None:
             return 1.0
         return max(float((replace(self, direction=None).rms / self.rms).max()), 1.0)
@@ -197,7 +196,7 @@ class Design:
         return total
 
     def raw_columns(self, index: IntArray) -> Array:
-        """theta_J (m, j), dense, in the order that products want; a copy."""
+        """theta_J (m, j), weighted and centred: a dense copy in Fortran order."""
         if self.in_memory and self.source.flags.f_contiguous:  # no block is copied on the way
             out = np.take(self.source.T, index, axis=0).astype(np.float64, copy=False).T
             if self.weights is not None:
@@ -211,7 +210,7 @@ class Design:
         return out
 
     def raw_predict(self, values: Array) -> Array:
-        """Theta W (m, n) of W (k, n); columns that are not in use are not read."""
+        """Theta W (m, n) of W (k, n); columns with zero weights are not read."""
         few = np.flatnonzero(values.any(axis=1))
         used: Index = few if len(few) < 0.5 * len(values) else slice(None)
         out = np.empty((self.shape[0], values.shape[1]))
@@ -234,11 +233,11 @@ class Design:
         return out
 
     def predict(self, values: Array) -> Array:
-        """Z V (m, n) of V (k, n); columns that are not in use are not read."""
+        """Z V (m, n) of V (k, n); columns with zero weights are not read."""
         return self.raw_predict(values / self.rms[:, None])
 
     def products(self, index: Index, others: Index | None = None) -> Array:
-        """Z_J'Z_K/m (j, l), symmetric where there is no K: it is J then."""
+        """Z_J'Z_K/m (j, l); K is J by default, and the result symmetric."""
         total: Any = None
         for _, block in self.blocks():
             first = _taken(block, index)
@@ -258,7 +257,7 @@ class Design:
             gram = self.products(slice(None))
         except MemoryError:
             k = self.shape[1]
-            words = f"Z'Z of {k} columns takes {k * k / 2**27:.1f} GiB, which are not there"
+            words = f"Z'Z of {k} columns takes {k * k / 2**27:.1f} GiB, more than is free"
             raise InputError(f"{words}: use fewer columns") from None
         gram.setflags(write=False)
         return gram
@@ -266,9 +265,9 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """A design with its target's sums: cross = Z'Y/m (k, n), target_square = |y_t|^2/m (n,).
+    """A design with the sums of its target: cross = Z'Y/m (k, n), target_square = |y_t|^2/m (n,).
 
-    The arrays are read-only: every back-end and the certificate read the same ones.
+    The arrays are read-only, as back-ends and the certificate share them.
     """
 
     design: Design
@@ -277,7 +276,7 @@ class Statistics:
 
     @classmethod
     def on(cls, design: Design, target: Array) -> Statistics:
-        """The statistics of a design and its target (m, n); Z'Z/m is left to who asks for it."""
+        """The statistics of a design and its target (m, n)."""
         sums = (design.correlate(target), np.einsum("ij,ij->j", target, target) / design.samples)
         for array in sums:
             array.setflags(write=False)

@@ -1,8 +1,8 @@
 """The front door: ``fit(problem, backend)`` and ``path(problem, backend, alpha_fractions)``.
 
-Validation, timing and the certificate live here, once, for every back-end alike: the certificate is
-computed from the data and the weights, and settles the status whatever the back-end says of itself.
-A back-end of another package is trusted code, but for what it returns.
+Validation, timing and certificates are here, once for all back-ends. The certificate is computed
+from the data and the weights, and determines the status whatever the back-end reports. Code of
+another package is trusted, but what it returns is validated.
 """
 
 import dataclasses
@@ -35,7 +35,7 @@ TOLERANCE = 1e-8
 
 
 def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLERANCE) -> Fit:
-    """Solve one problem and certify the answer; `sparsefit.fit` says of what and how."""
+    """Solve one problem and certify the weights; documented as `sparsefit.fit`."""
     _check(problem, backend, tolerance)
     if isinstance(backend, PathBackend) and backend.alpha_fraction == "auto":
         start = perf_counter()
@@ -56,7 +56,7 @@ def path(
     *,
     tolerance: float = TOLERANCE,
 ) -> Path:
-    """Solve along a penalty grid and certify every point; `sparsefit.path` says of what and how."""
+    """Solve along a penalty grid and certify every point; documented as `sparsefit.path`."""
     _check(problem, backend, tolerance)
     if not isinstance(backend, PenalisedBackend):
         raise InputError(f"back-end {backend.name!r} has no penalty, and so no path; use fit")
@@ -70,7 +70,7 @@ def path(
 
 
 def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: float) -> Path:
-    """The fits at penalty fractions (p,), solved from the strongest on; one where there is none."""
+    """The fits at penalty fractions (p,), strongest first; a single fit where p is 0."""
     order = np.argsort(-wanted, kind="stable")
     fractions = tuple(wanted[order].tolist())
     points = [dataclasses.replace(backend, alpha_fraction=each) for each in fractions] or [backend]
@@ -108,12 +108,12 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
 
 
 def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> Solution:
-    """The solution of a back-end, its weights (k, n) of floats. Raises InputError on another."""
+    """The solution with its weights (k, n) as floats. Raises InputError on any other return."""
     where = f"back-end {backend.name!r} returned"
     if not isinstance(solution, Solution):
         raise InputError(f"{where} {type(solution).__name__}, not a Solution")
     if solution.status not in get_args(SolutionStatus):
-        raise InputError(f"{where} the status {solution.status!r}, which is none")
+        raise InputError(f"{where} the unknown status {solution.status!r}")
     if solution.weights is None:
         return solution
     try:
@@ -130,7 +130,7 @@ def certificate_of(
 ) -> Certificate | None:
     """The certificate of a back-end without a convex penalty; None without finite weights.
 
-    A fixed point is judged by its weights: one more iteration gives the support and the fit again.
+    Of a fixed point: the change of support and of fitted values by one more iteration.
     """
     if not _finite(solution):
         return None
@@ -140,7 +140,7 @@ def certificate_of(
         residual, spectrum = problem.target - problem.rows @ weights, problem.spectrum
         retained = spectrum.right_vectors[spectrum.retained(backend.rcond, problem.samples)]
         gradient = np.abs(retained @ (problem.rows.T @ residual))
-        scale = spectrum.singular_values[0] * size
+        scale = float(spectrum.singular_values[0]) * size
         return Certificate("normal_equations", float(gradient.max(initial=0.0)) / (scale or 1.0))
     with np.errstate(all="ignore"):  # weights of any size: what overflows is no fixed point
         following = np.asarray(backend.next_weights(problem, weights.copy()), dtype=float)
@@ -155,7 +155,7 @@ def certificate_of(
 
 
 def _finite(solution: Solution) -> bool:
-    """Whether there are finite weights; those of a solver that failed are no answer."""
+    """Whether the solution has finite weights and its solver did not fail."""
     weights = solution.weights
     return solution.status != "error" and weights is not None and bool(np.isfinite(weights).all())
 
@@ -168,9 +168,10 @@ def _judged(
     seconds: float,
     tolerance: float,
 ) -> Fit:
-    """The fit that a solution with this certificate makes; without one it is an error.
+    """The fit of a solution with its certificate; status ``error`` without one.
 
-    Where the certificate rejects the fast path's answer it is the referee's, if that is better.
+    Where the certificate rejects an exact path's weights, the referee solves the problem too, and
+    the better certificate counts.
     """
     status: str = solution.status
     reason, weights = solution.reason, solution.weights
@@ -179,8 +180,8 @@ def _judged(
         status = "unidentifiable" if status == "unidentifiable" else "error"
         reason = reason or "the back-end returned no finite weights"
     elif status in ("ok", "inaccurate"):
-        # The certificate decides: a solver's own word is kept beside it, not trusted. But a fixed
-        # point settles no doubt about an optimum.
+        # The certificate determines the status, not the solver's own report. But a fixed point does
+        # not confirm an optimum.
         if not certificate.bound <= tolerance:
             words = f"{certificate.kind} {certificate.value:.1e}"
             if certificate.value <= tolerance:

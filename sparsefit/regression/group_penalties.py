@@ -45,10 +45,10 @@ class GroupNorms(Penalty):
     def block_norms(self, values: Array) -> Array:
         """Norms |V_g| of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
         # Scaled by the largest entry: squares of 1e-200 would vanish.
-        peak = float(np.max(np.abs(values), initial=0.0)) or 1.0
-        norms: Array = peak * np.sqrt(
-            block_sums(np.square(values / peak), *self._layout, self.together)
-        )
+        peak = float(max(values.max(initial=0.0), -values.min(initial=0.0))) or 1.0
+        scaled = values / peak
+        scaled *= scaled
+        norms: Array = peak * np.sqrt(block_sums(scaled, *self._layout, self.together))
         return norms
 
     def norm(self, values: Array) -> Array:

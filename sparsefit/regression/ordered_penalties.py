@@ -41,7 +41,11 @@ class SortedNorm(Penalty):
         peaks: Array = (sums / np.cumsum(self.weights)[:, None]).max(axis=-2)
         return peaks
 
-    def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
+    @property
+    def units(self) -> IntArray:
+        return np.arange(self.columns)
+
+    def violations(self, correlation: Array, values: Array, alpha: float | Array) -> Array:
         out = np.full(self.columns, -1.0)
         for pull, weight in zip(np.abs(correlation).T, values.T, strict=True):
             off = np.flatnonzero(weight == 0)

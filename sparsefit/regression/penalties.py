@@ -2,13 +2,13 @@
 
     minimise over V:   loss(Y - Z V) + alpha * Omega(V),   Omega(V) = norm(V) + ridge/2 |V|_F^2
 
-A class states its ``norm``, its ``dual_norm`` max {<C, V> : norm(V) <= 1}, and its ``prox``
+A class defines its ``norm``, its ``dual_norm`` max {<C, V> : norm(V) <= 1}, and its ``prox``
 
     argmin over V of  |V - U|^2/2 + step * norm(V).
 
 Certificate, alpha_max, working sets and paths follow. ``slope`` is a factor N of the derivative of
 the prox, N N', and makes the generic solver Newton's method; without it the derivative is taken
-coefficient by coefficient. ``conic`` states the norm for cvxpy.
+coefficient by coefficient. ``conic`` is the norm as an expression of cvxpy.
 
 Penalties of groups are in `group_penalties`, those of an order in `ordered_penalties`.
 Sources: Tibshirani (1996); Zou (2006), weights; Zou and Hastie (2005), ridge.
@@ -32,9 +32,9 @@ Slope = tuple[IntArray, Any]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Penalty(ABC):
-    """A penalty on k columns; a subclass states ``norm``, one of the dual norms, and ``prox``.
+    """A penalty on k columns; a subclass defines ``norm``, a dual norm and ``prox``.
 
-    ridge: rho of rho/2 |V|^2, which is added; loss: what the penalty is added to.
+    ridge: rho of the additional term rho/2 |V|^2; loss: the loss that the penalty is added to.
     """
 
     ridge: float = 0.0
@@ -42,9 +42,9 @@ class Penalty(ABC):
 
     @property
     def columns(self) -> int:
-        """The number k of columns; a subclass states them, or its blocks."""
+        """The number k of columns; a subclass defines it or its blocks."""
         if type(self).blocks is Penalty.blocks:
-            raise InputError(f"{type(self).__name__} states neither `columns` nor `blocks`")
+            raise InputError(f"{type(self).__name__} defines neither `columns` nor `blocks`")
         return len(self.blocks)
 
     @abstractmethod
@@ -57,12 +57,12 @@ class Penalty(ABC):
 
     @property
     def coupled(self) -> bool:
-        """Whether the targets are one problem, as a block spans them all, and not one each."""
+        """Whether blocks span all targets, which are then one problem and not n separate ones."""
         return self.loss.coupled
 
     @property
     def blocks(self) -> IntArray:
-        """The block (k,) of each column: all are one, unless a subclass says otherwise."""
+        """The block (k,) of each column; all columns are one block by default."""
         return np.zeros(self.columns, dtype=np.intp)
 
     def value(self, values: Array) -> Array:
@@ -85,13 +85,13 @@ class Penalty(ABC):
     def conjugate(self, values: Array, alpha: Array | float) -> Array:
         """max over V of <C, V> - alpha norm(V) for values C (..., k, n): (..., n), where finite.
 
-        That of a norm is 0 where its dual norm is <= alpha, and is not stated. Of weights with
-        bounds it is finite; the norm is infinite beyond them, and `in_units` divides them, too.
+        Of a norm it is 0 where its dual norm is <= alpha, and need not be overridden. Of bounded
+        weights it is finite; the norm is infinite beyond the bounds, and `in_units` divides these.
         """
         return np.zeros((*values.shape[:-2], values.shape[-1]))
 
     def beyond(self, values: Array, alpha: Array, error: Array) -> Array:
-        """The most that the conjugate is, where each entry may be off by an error (..., 1, n).
+        """An upper bound of the conjugate where each entry has an error of up to (..., 1, n).
 
         <E, V> <= e |V|_1 <= e d norm(V), d the dual norm of entries of 1: alpha may be less by e d.
         """
@@ -105,9 +105,9 @@ class Penalty(ABC):
         return type(self).conjugate is not Penalty.conjugate
 
     def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
-        """The gauge that a dual point must not exceed alpha in: the dual norm, at most.
+        """The gauge (..., n) that a feasible dual point bounds by alpha: the dual norm.
 
-        0 where the conjugate is finite. error (..., n): what each entry of the values is off by.
+        0 where the conjugate is finite. error (..., n): a bound of the error of each entry.
         """
         if self.is_bounded:
             return np.zeros((*values.shape[:-2], values.shape[-1]))
@@ -116,14 +116,20 @@ class Penalty(ABC):
             return peaks
         return peaks + error * self.dual_norm(np.ones(values.shape[-2:]))
 
-    def objections(self, correlation: Array, values: Array, alpha: float) -> Array:
-        """By how much, relative to alpha, each column (k,) at zero wants to be in use; <= 0: not.
+    @property
+    def units(self) -> IntArray:
+        """The unit (k,) of each column: units join a working set as a whole, and are its blocks."""
+        return self.blocks
 
-        correlation Z'R/m and values (k, n): at the optimum of the columns that are in play.
+    def violations(self, correlation: Array, values: Array, alpha: float | Array) -> Array:
+        """The excess of each unit's dual norm over alpha (...), relative to alpha: (..., u).
+
+        <= 0: a unit whose weights are zero meets the optimality conditions. correlation Z'R/m and
+        values (..., k, n): at the optimum of a working set.
         """
-        pull = self.block_dual_norms(correlation).max(axis=-1)
-        excess: Array = pull / (alpha or 1e-150) - 1.0  # no column is wanted: alpha_max is 0
-        return excess[self.blocks]
+        dual = self.block_dual_norms(correlation).max(axis=-1)
+        excess: Array = dual / np.maximum(alpha, 1e-150)[..., None] - 1.0  # alpha_max may be 0
+        return excess
 
     def restricted(self, index: IntArray) -> Self | None:
         """The penalty on some of the columns, in whole blocks; None where it has no such form."""
@@ -146,8 +152,8 @@ class Penalty(ABC):
         return on, diags_array(np.sqrt(np.minimum(rate[on], 1.0))).tocsc()
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        """The norm of a variable (k, n) of the package cvxpy, an expression, and constraints."""
-        raise InputError(f"{type(self).__name__} states no conic form: use solver 'exact'")
+        """The norm of a variable (k, n) of cvxpy as an expression, and a list of constraints."""
+        raise InputError(f"{type(self).__name__} has no method `conic`: use solver 'exact'")
 
 
 def alpha_max(cross: Array, penalty: Penalty) -> float:
@@ -258,9 +264,9 @@ class BoundedValues(AbsoluteValues):
 
 @dataclass(frozen=True, eq=False)
 class SquaredNorm(Penalty):
-    """A ridge alone, |V|^2/2: no norm, and no penalty whose solution is zero.
+    """A ridge alone, |V|^2/2, which has no norm and no finite alpha whose solution is zero.
 
-    Its unit of alpha is k, the trace of Z'Z/m, which bounds the largest eigenvalue of it.
+    Its unit of alpha is k, the trace of Z'Z/m, a bound of the largest eigenvalue.
     """
 
     count: int
@@ -291,5 +297,5 @@ class SquaredNorm(Penalty):
 
 
 def soft(values: Array, limit: Array) -> Array:
-    """The values, as much nearer to zero as the limit says."""
+    """Soft thresholding, sign(x) max(|x| - limit, 0)."""
     return np.sign(values) * np.maximum(abs(values) - limit, 0.0)

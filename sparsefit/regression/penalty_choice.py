@@ -1,7 +1,7 @@
-"""How strong the penalty should be, told from the data alone: ``alpha_fraction = "auto"``.
+"""The choice of the penalty from the data: ``alpha_fraction = "auto"``.
 
-Both rules walk the same 30 fractions, strongest first, and pick one by a criterion that they
-compare. Nothing is drawn at random, the truth is not asked, and units do not matter.
+Both rules compare a criterion at the same 30 fractions, strongest first. They use no random numbers
+and do not depend on units.
 """
 
 import math
@@ -24,15 +24,14 @@ FLOOR = float(np.finfo(float).eps)  # of a residual relative to the target: a pe
 def choose_penalty(
     problem: RegressionProblem, backend: PathBackend, weights: Array
 ) -> tuple[int, Array]:
-    """The index in FRACTIONS by ``backend.selection``, and the criterion (p,) compared there.
+    """The index in FRACTIONS chosen by ``backend.selection``, and the criterion (p,).
 
-    weights (p, k, n): the path on all samples, in original units, NaN where it failed, as the
-    criterion is there; the strongest penalty is taken where none is solved. ``bic`` takes the
-    least `information_criterion`; ``cross-validation`` the strongest penalty within one standard
-    error of the least `held_out_errors` (Breiman, Friedman, Olshen and Stone 1984), that of the
-    difference from the best, fold by fold: how much noise a fold holds is the same for every
-    penalty, and would otherwise drown what they differ by. Raises InputError where cross-validation
-    cannot cut the samples up.
+    weights (p, k, n): the path on all samples, in original units; NaN where a point is not solved,
+    and so is the criterion there. The index is 0 where no point is solved. ``bic`` minimises the
+    `information_criterion`. ``cross-validation`` takes the strongest penalty within one standard
+    error of the least `held_out_errors` (Breiman, Friedman, Olshen and Stone 1984): that of the
+    differences from the best penalty fold by fold, which have no noise of the folds in common.
+    Raises InputError where the samples cannot be divided into folds.
     """
     solved = np.isfinite(weights).all(axis=(1, 2))
     if not solved.any():
@@ -52,8 +51,8 @@ def choose_penalty(
 def information_criterion(problem: RegressionProblem, penalty: Penalty, weights: Array) -> Array:
     """m' sum_t log RSS_t + log(m') df (p,) of a path, weights (p, k, n) (Schwarz 1978).
 
-    df as in `degrees_of_freedom`. m' (`effective_samples`) is that of the weakest penalty's
-    residuals, which hold the least of what the others leave unexplained.
+    df: `degrees_of_freedom`. m': `effective_samples` of the residuals at the weakest penalty,
+    which have the least structure left.
     """
     points, columns, targets = weights.shape
     design, scaled = problem.design, weights * problem.design.rms[:, None]
@@ -63,7 +62,7 @@ def information_criterion(problem: RegressionProblem, penalty: Penalty, weights:
     residuals = problem.target[:, None, :] - fitted.reshape(-1, points, targets)
     null = np.einsum("it,it->t", problem.target, problem.target)
     size = float(problem.samples)
-    if problem.sample_count is None:  # rows that mix samples say nothing of their order
+    if problem.sample_count is None:  # rows of a QR have lost the samples' order
         size = effective_samples(residuals[:, solved[-1]])
     alphas = problem.alpha_max(penalty) * np.array(FRACTIONS)
     criterion = np.full(points, np.nan)
@@ -108,7 +107,7 @@ def degrees_of_freedom(
 
 
 def effective_samples(residual: Array) -> float:
-    """m' = m / (1 + 2 sum_j rho_j): how many independent samples would say as much, in [2, m].
+    """The number m' = m / (1 + 2 sum_j rho_j) of equivalent independent samples, in [2, m].
 
     residual (m, n), in the order of the samples. The autocorrelations rho_j, pooled over the
     targets, are summed in pairs up to the first pair that is not positive (Geyer 1992).
@@ -127,9 +126,9 @@ def effective_samples(residual: Array) -> float:
 def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
     """|Y - theta W|^2 per sample of each fold over that of the target, (folds, p); NaN unsolved.
 
-    Squares count by the sample's weight. Folds are contiguous, so that what is held out is not
-    beside what was fitted, in time or in space. Raises InputError on fewer than 2 samples a fold,
-    and on compressed ones.
+    Squares count by the sample's weight, and linearly beyond the knot of Huber's loss. Folds are
+    contiguous, so that what is held out is not beside what was fitted, in time or in space. Raises
+    InputError on fewer than 2 samples a fold, and on compressed ones.
     """
     if problem.sample_count is not None or problem.samples < 2 * FOLDS:
         least = f"at least {2 * FOLDS} samples, not {problem.samples}"
@@ -137,16 +136,20 @@ def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
         raise InputError(f"cross-validation needs {words}; give alpha_fraction as a number")
     folds = np.array_split(np.arange(problem.samples), FOLDS)
     square = float(np.einsum("it,it->", problem.target, problem.target)) / problem.samples or 1.0
+    reach = backend.penalty(problem).loss.bound(problem.target)
+    reach = np.broadcast_to(reach, problem.target.shape)
     errors = np.empty((FOLDS, len(FRACTIONS)))
     missing = np.full((problem.columns, problem.targets), np.nan)
     for i, fold in enumerate(folds):
         part = problem.part(np.concatenate(folds[:i] + folds[i + 1 :]))
         answers: Any = backend.solve_path(part, FRACTIONS)
         path = [missing if each.weights is None else each.weights for each in answers]
-        rows, levels = problem.theta[fold], [part.intercept_of(each) for each in path]
+        loss = backend.penalty(part).loss
+        rows, levels = problem.theta[fold], [part.intercept_of(each, loss) for each in path]
         fitted = np.stack([rows @ each for each in path]) + np.stack(levels)[:, None, :]
         misfit = problem.raw_target[fold] - fitted
         if problem.adjusted is not None and problem.adjusted.roots is not None:
             misfit *= problem.adjusted.roots[fold, None]
-        errors[i] = np.einsum("pit,pit->p", misfit, misfit) / (len(fold) * square)
+        pull = np.clip(misfit, -reach[fold], reach[fold])
+        errors[i] = np.einsum("pit,pit->p", pull, 2.0 * misfit - pull) / (len(fold) * square)
     return errors

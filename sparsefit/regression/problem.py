@@ -1,4 +1,4 @@
-"""The regression problem that every back-end solves, from any design matrix."""
+"""The regression problem of all back-ends, from any design matrix."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.regression.design import Design, Statistics
+from sparsefit.regression.losses import SQUARES, Squares
 from sparsefit.regression.penalties import Penalty, alpha_max
 
 LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose products all are in range
@@ -21,7 +22,7 @@ LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose product
 class Spectrum:
     """theta = U diag(s) V': singular_values (r,), right_vectors V' (r, k), projected U'Y (r, n).
 
-    seconds: what it took, so that every fit that uses it can be charged.
+    seconds: the time of the factorisation, charged to each fit that uses it.
     """
 
     singular_values: Array
@@ -30,9 +31,9 @@ class Spectrum:
     seconds: float = 0.0
 
     def retained(self, rcond: float | None, samples: int) -> BoolArray:
-        """The largest singular value s_max and those above rcond * s_max.
+        """A mask (r,) of the largest singular value s_max and those above rcond * s_max.
 
-        None is the rounding level eps * max(m, k).
+        rcond: None is the rounding level eps * max(m, k).
         """
         if rcond is None:
             rcond = float(np.finfo(float).eps * max(samples, self.right_vectors.shape[1]))
@@ -43,11 +44,11 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """Sample weights, and the direction that an intercept takes off the rows.
+    """Sample weights and intercept of a problem, which its target is multiplied by and centred.
 
-    raw (m, n): the target as it was; weight (m,) or None; roots (m,): of weights whose mean is 1,
-    None where all are; direction (m,): what the intercept's column is then, None without one;
-    levels (n,): the weighted means of the target, that were taken off.
+    raw (m, n): the original target. weight (m,): the sample weights, or None. roots (m,): the roots
+    of the weights over their mean, or None. direction (m,): the intercept's column times the roots,
+    or None. levels (n,): the weighted means of the target, subtracted along the direction.
     """
 
     raw: Array
@@ -60,7 +61,9 @@ class Adjustment:
     def of(
         cls, target: Array, sample_weight: ArrayLike | None, intercept: bool
     ) -> "tuple[Adjustment | None, Array]":
-        """The adjustment, if there is one, and the target (m, n) with it made."""
+        """The adjustment, None without weights and intercept, and the adjusted target (m, n)."""
+        if intercept not in (True, False):
+            raise InputError(f"intercept must be true or false, not {intercept!r}")
         if sample_weight is None and not intercept:
             return None, target
         raw, weight, roots, direction = target, None, None, None
@@ -87,17 +90,16 @@ class Adjustment:
 class RegressionProblem(Brief):
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
 
-    `from_arrays` makes it from any arrays and labels; ``design`` has the sums of theta's columns.
+    `from_arrays` constructs it from arrays and labels; ``design`` has the sums of theta's columns.
     theta and target are finite; norms of their columns are in [1e-140, 1e140], or 0 of a target.
-    ``groups`` (k,) numbers the group of each column, 0, 1, 2, ... without a gap; ``group_scales``
-    (g,) gives each group's scale, where it has one.
-    ``sample_count``: m, where the rows are the triangle of a QR that keeps every inner product of
-    the m original ones, none of which can be taken alone. ``subgroups`` (k,): numbers, from 0, of
-    smaller groups that each lie within one group, such as the waves of a ring; None without any.
-    ``parameters`` (s, p): of the modes of a family whose columns these are, mode by mode.
-    ``adjusted``: weights of the samples and an intercept, which the target here has off already.
-    ``partial``: the rows are some of a problem's, such as those outside of a fold, and may leave a
-    column zero in all of them; it takes no part then.
+
+    groups: (k,), the group of each column, numbered 0, 1, 2, ... without a gap. group_scales: (g,),
+    the length scale of each group, or None. subgroups: (k,), numbers from 0 of smaller groups, each
+    within one group, such as the waves of a ring, or None. parameters: (s, p), of the modes of the
+    family that the columns belong to. sample_count: m, where theta and target are the triangle of a
+    QR of the m original rows, with their inner products. adjusted: sample weights and intercept,
+    which the target here contains already. partial: theta has only some rows of a problem, and may
+    have columns of zeros, whose weights are zero.
     """
 
     theta: Any
@@ -148,30 +150,37 @@ class RegressionProblem(Brief):
     ) -> "RegressionProblem":
         """A problem from any design matrix theta (m, k) and target (m,) or (m, n).
 
-        theta may be sparse (scipy), a memory map, a distributed array, a DataFrame or anything
-        with a shape whose rows can be sliced; names of a frame's or a series' columns are kept.
-        Arrays of float64 in C or Fortran order are read where they are: leave them unchanged while
-        the problem is in use. `fit` and `path` refuse an array in memory that was changed in place,
-        by a digest of 512 of its entries; of files and distributed arrays no change is noticed.
+        theta: an array, a sparse matrix (scipy), a memory map, a dask array, a DataFrame or any
+        object with a shape whose rows can be sliced. Names of columns of a frame or series are
+        kept. Arrays of float64 in C or Fortran order are not copied and must not change while the
+        problem is in use: `fit` and `path` refuse an array in memory that was changed in place, by
+        a digest of 512 of its entries; a change of files or dask arrays is not detected.
 
-        ``groups``: k labels that sort, equal for the columns of one group; without them every
-        column is one. ``subgroups``: k labels of smaller groups within these. ``sample_weight``
-        (m,) >= 0 weighs the squares, whatever their sum; ``intercept`` projects an unpenalised
-        constant column out. Raises InputError on shapes that do not match, subgroups that span
-        groups, values that are not finite, masked arrays and, but where ``partial``, columns of
-        zeros (or constant ones beside an intercept).
+        ``groups``: k labels that sort, equal for the columns of one group, in their order or by
+        their names (a dict, a Series); without them every column is one. ``subgroups``: k labels of
+        smaller groups within these. ``sample_weight`` (m,) >= 0: the weight of each sample's loss,
+        whatever their sum; ``intercept`` adds an unpenalised constant column. Raises InputError on
+        shapes or pandas indexes that do not match, subgroups that span groups, values that are not
+        finite, masked arrays and, but where ``partial``, columns of zeros (or constant ones beside
+        an intercept).
         """
+        for name, rows in (("target", target), ("sample_weight", sample_weight)):
+            index: Any = getattr(theta, "index", None)
+            other: Any = getattr(rows, "index", None)
+            if hasattr(index, "equals") and hasattr(other, "equals") and not index.equals(other):
+                words = f"theta and {name} differ in their index: align them"
+                raise InputError(f"{words}, or use to_numpy() where rows match by position")
         source, values = _source(theta), _matrix(target, "target")
         columns, inner = int(source.shape[1]), None
-        numbers = _numbers(np.arange(columns) if groups is None else groups, columns, "groups")
-        if subgroups is not None:
-            inner = _numbers(subgroups, columns, "subgroups")
-            if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
-                raise InputError("subgroups must lie within groups: one of them spans two groups")
         named = _labels(theta, columns) if names is None else names
         listed = isinstance(named, Iterable) and not isinstance(named, str)
         if not listed or len(labels := tuple(map(str, named))) != columns:
             raise InputError(f"names must be a list with one name per column, {columns} of them")
+        numbers = _numbers(np.arange(columns) if groups is None else groups, labels, "groups")
+        if subgroups is not None:
+            inner = _numbers(subgroups, labels, "subgroups")
+            if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
+                raise InputError("subgroups must lie within groups: one of them spans two groups")
         targets, adjusted = tuple(map(str, _labels(target, values.shape[1]))), None
         if len(values) == source.shape[0]:
             adjusted, values = Adjustment.of(values, sample_weight, intercept)
@@ -182,7 +191,7 @@ class RegressionProblem(Brief):
 
     @cached_property
     def design(self) -> Design:
-        """The columns by their sums, with the weights and without the intercept."""
+        """The design of the columns, weighted and centred."""
         roots, direction = None, None
         if self.adjusted is not None:
             roots, direction = self.adjusted.roots, self.adjusted.direction
@@ -192,17 +201,17 @@ class RegressionProblem(Brief):
 
     @cached_property
     def digest(self) -> bytes:
-        """The digest of the design when the problem was made; see `refuse_changes`."""
+        """The digest of the design at construction; see `refuse_changes`."""
         return self.design.digest()
 
     def refuse_changes(self) -> None:
-        """Raise InputError where the design is not what it was, as far as its digest tells."""
+        """Raise InputError where the digest of the design has changed since construction."""
         if self.design.digest() != self.digest:
-            raise InputError("theta was changed while the problem was in use: hand in a copy")
+            raise InputError("theta was changed while the problem was in use: pass a copy")
 
     @cached_property
     def rows(self) -> Array:
-        """Theta (m, k), weighted and centred, as one array. Raises InputError where it is none."""
+        """Theta (m, k), weighted and centred, as one array. Raises InputError if not in memory."""
         if not self.design.in_memory:
             words = "this needs theta as one array in memory, and it is sparse, dask's or a file's"
             raise InputError(f"{words}: use lasso or another penalised back-end")
@@ -214,11 +223,11 @@ class RegressionProblem(Brief):
 
     @property
     def raw_target(self) -> Array:
-        """The target (m, n) as it was, before weights and an intercept."""
+        """The target (m, n) without weights and before centring."""
         return self.target if self.adjusted is None else self.adjusted.raw
 
     def part(self, rows: IntArray) -> "RegressionProblem":
-        """The problem of some samples alone. Raises InputError as `from_arrays` does."""
+        """The problem of some of the samples. Raises InputError as `from_arrays` does."""
         adjusted, target = self.adjusted, self.raw_target[rows]
         if adjusted is not None:
             weight = None if adjusted.weight is None else adjusted.weight[rows]
@@ -227,7 +236,7 @@ class RegressionProblem(Brief):
         return replace(self, sample_count=None, partial=True, **new)
 
     def alpha_max(self, penalty: Penalty) -> float:
-        """The smallest alpha whose solution is zero: the dual norm of Z'u/m of the target's u."""
+        """The smallest alpha whose solution is zero: the dual norm of Z'u/m, u of R = Y."""
         cross = self.statistics.cross
         if np.isfinite(penalty.loss.clip):
             cross = self.design.correlate(penalty.loss.pull(self.target, self.target))
@@ -235,14 +244,20 @@ class RegressionProblem(Brief):
 
     @property
     def means(self) -> Array:
-        """The weighted means (k,) of the columns that an intercept takes off; 0 without one."""
+        """The weighted means (k,) of the columns beside an intercept; 0 without one."""
         along = None if self.adjusted is None else self.adjusted.direction
         return self.design.means / (1.0 if along is None else np.linalg.norm(along))
 
-    def intercept_of(self, weights: Array) -> Array:
+    def intercept_of(self, weights: Array, loss: Squares = SQUARES) -> Array:
         """The intercept (n,) beside weights (k, n), in the units of the target; 0 without one."""
-        levels = np.zeros(self.targets) if self.adjusted is None else self.adjusted.levels
-        return levels - self.means @ weights
+        if self.adjusted is None or self.adjusted.direction is None:
+            return np.zeros(self.targets)
+        intercept = self.adjusted.levels - self.means @ weights
+        if loss.direction is not None:
+            residual = self.target - self.design.raw_predict(weights)
+            level = loss.level(residual, loss.bound(self.target))
+            intercept = intercept + level / np.linalg.norm(self.adjusted.direction)
+        return intercept
 
     @property
     def samples(self) -> int:
@@ -261,15 +276,15 @@ class RegressionProblem(Brief):
 
     @cached_property
     def statistics(self) -> Statistics:
-        """Sums of the target in scaled columns, shared by all back-ends."""
+        """Z'Y/m and |y_t|^2/m, shared by all back-ends."""
         return Statistics.on(self.design, self.target)
 
     @cached_property
     def spectrum(self) -> Spectrum:
-        """Singular values of theta, by QR first: the tall matrix is read once.
+        """The singular value decomposition of theta, after a QR that reads a tall matrix once.
 
-        Of the pivoted factor the last rows go that together are a sixteenth of the rounding level
-        or less: singular values move by no more, and few rows remain of columns that are alike.
+        Trailing rows of the pivoted factor are dropped where their norm is at most a sixteenth of
+        the rounding level: singular values change by no more, and near-copies leave few rows.
         """
         from scipy.linalg import qr_multiply  # who reads an estimator need not wait for it
 
@@ -292,8 +307,7 @@ class RegressionProblem(Brief):
 def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
     """Theta and target in at most k + n rows: R of a QR of the rows [theta, target], in blocks.
 
-    QR, and not Z'Z, because the certificate takes residuals of these rows: orthogonal
-    transformations keep them to rounding, where Z'Z would lose half the digits.
+    QR, not Z'Z: the certificate takes residuals of these rows, of which Z'Z loses half the digits.
     """
     triangle, columns = np.zeros((0, 0)), 0
     for theta, target in blocks:
@@ -304,9 +318,9 @@ def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 
 def _source(theta: Any) -> Any:
-    """The source of a `Design`: arrays as float64, not copied, a DataFrame's values, CSC matrices.
+    """The source of a `Design`: an array of float64, not copied where it is one, or a CSC matrix.
 
-    Raises InputError on what is no matrix of real numbers.
+    Raises InputError on anything but a matrix of real numbers.
     """
     package = type(theta).__module__.partition(".")[0]
     sliced = not hasattr(theta, "__array__") and hasattr(theta, "__getitem__")
@@ -318,24 +332,27 @@ def _source(theta: Any) -> Any:
         raise InputError(f"theta must be a matrix of real numbers, not {type(theta).__name__}")
     if not is_sparse:
         return theta
-    matrix = theta.tocsc()  # a word on the format would help nobody: it is only stored so
+    matrix = theta.tocsc()
     matrix = matrix if matrix.dtype == np.float64 else matrix.astype(np.float64)
     matrix.sum_duplicates()
     return matrix
 
 
 def _matrix(values: ArrayLike, name: str) -> Array:
-    """A float64 matrix, not copied where it is one in C or Fortran order."""
+    """The values as a float64 matrix, without a copy if in C or Fortran order."""
     if hasattr(values, "toarray"):
-        raise InputError(f"{name} is a sparse matrix: hand in {name}.toarray()")
+        raise InputError(f"{name} is a sparse matrix: pass {name}.toarray()")
     if np.ma.is_masked(values):
         raise InputError(f"{name} is masked: drop the rows whose values are missing")
     try:
         if np.asarray(values).dtype.kind in "cmM":
-            raise TypeError("it holds complex numbers or times")
+            raise TypeError("complex numbers and times are none")
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of real numbers: {error}") from None
+        if name == "theta" and hasattr(values, "iloc"):  # names the first column without numbers
+            for place, label in enumerate(getattr(values, "columns", ())):
+                _matrix(values.iloc[:, [place]], f"column {label!r}")
+        raise InputError(f"{name} must hold real numbers: {error}") from None
     if array.ndim == 1 and name == "target":
         array = array[:, None]
     if array.ndim != 2:
@@ -345,16 +362,23 @@ def _matrix(values: ArrayLike, name: str) -> Array:
 
 
 def _labels(table: Any, count: int) -> Sequence[Any]:
-    """The names of the columns of a frame, or that of a series; numbers of any other array."""
+    """The column names of a frame, or the name of a series; 0, 1, ... of any other array."""
     if hasattr(table, "to_numpy") and hasattr(table, "columns"):
         return list(table.columns)
     name = getattr(table, "name", None) if hasattr(table, "to_numpy") and count == 1 else None
     return range(count) if name is None else [name]
 
 
-def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
-    """Numbers (k,) from 0 for the labels of the k columns, in the order of the labels."""
-    example = f"{name} must have one label per column, such as [0, 0, 1]"
+def _numbers(labels: Any, names: Sequence[str], name: str) -> IntArray:
+    """Numbers (k,) from 0 for the labels of the k columns, in the order of the labels.
+
+    labels: in the order of the columns, or a dict or Series by the names of all columns.
+    """
+    example, columns = f"{name} must have one label per column, such as [0, 0, 1]", len(names)
+    if hasattr(labels, "items"):
+        by_name = {str(key): label for key, label in labels.items()}
+        if by_name.keys() == set(names):
+            labels = [by_name[each] for each in names]
     try:
         given = np.asarray(labels)
     except ValueError:
@@ -372,10 +396,10 @@ def _numbers(labels: ArrayLike, columns: int, name: str) -> IntArray:
 def _refuse_unfit(
     squares: Array, names: Sequence[str], target: Array | None = None, alike: str = ""
 ) -> None:
-    """Raise InputError, which names it, on a column that cannot be reckoned with.
+    """Raise an InputError that names the first column whose norm is out of range.
 
-    squares (k,) of the columns' norms: NaN, infinite, above LARGEST or below SMALLEST, which words
-    ``alike`` explain; a column of the target (m, n) may be zero.
+    squares (k,): of the norms, refused where NaN, infinite, above LARGEST or below SMALLEST (alike:
+    the words for that). A column of the target (m, n) may be zero.
     """
     which, small = "", squares < SMALLEST**2
     words = alike or f"is zero in every sample (or below {SMALLEST:g}); drop it or change the unit"

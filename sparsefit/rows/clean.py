@@ -1,9 +1,9 @@
-"""A log made fit for the search: gaps, uneven steps and outliers.
+"""Preparation of a log for the search: gaps, uneven steps and outliers.
 
-A step much longer than the others is a gap, which no filter crosses; uneven steps are made even for
-filters that need it. An outlier is a position or velocity far from what a polynomial through its
-neighbours predicts, by robust standard deviations and beside the samples around it (Hampel, 1974).
-A clean log comes out as the very arrays that went in. The likelihood reads the log as it is.
+A step much longer than the others is a gap, which no filter crosses; a log with uneven steps is
+resampled for filters that need even ones. An outlier is a position or velocity far from what a
+polynomial through its neighbours predicts (Hampel, 1974). A clean log is returned unchanged. The
+likelihood uses the raw log.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from sparsefit.logs.checks import ONE_STEP, clock_rounding, gaps_of
 
 @dataclass(frozen=True)
 class Repairs:
-    """The samples that were replaced before a derivative was taken."""
+    """The repairs of a log before its derivatives were taken."""
 
     outliers: int = 0  # samples whose position or velocity was replaced
-    gaps: int = 0  # interruptions that no derivative was taken across
-    resampled: int = 0  # samples on even time steps that stand for those on uneven ones
-    longest_gap: float = 0.0  # [s], 0 where there is none
+    gaps: int = 0  # gaps, across which no derivative is taken
+    resampled: int = 0  # samples after resampling to even time steps
+    longest_gap: float = 0.0  # [s], 0 without gaps
 
     @property
     def words(self) -> str:
-        """The repairs in words; empty where there were none."""
+        """The repairs in words; empty without repairs."""
         parts = (
             (self.outliers, "outlier", " replaced"),
             (self.gaps, "gap", f" of up to {self.longest_gap:.3g} s left open"),
@@ -41,15 +41,15 @@ class Repairs:
 
 @dataclass(frozen=True, eq=False)
 class LogPieces:
-    """The samples of a flight, in pieces between its gaps."""
+    """The samples of a flight, in the pieces between its gaps."""
 
     time: Array  # [s], (m,)
     state: Array  # x, y [m], vx, vy [m/s], (m, 4)
     piece: IntArray  # the number of each sample's piece, ascending, (m,)
-    velocity_measured: bool = True  # it tells more than the position
+    velocity_measured: bool = True  # else it is the derivative of the position
 
     def windows(self, width: int) -> IntArray:
-        """The first samples of all windows of so many that cross no gap."""
+        """The first rows of all windows of ``width`` samples that cross no gap."""
         count = max(len(self.piece) - width + 1, 0)
         return np.flatnonzero(self.piece[width - 1 :] == self.piece[:count])
 
@@ -65,15 +65,15 @@ class LogPieces:
 
     @cached_property
     def even(self) -> bool:
-        """Whether the steps within the pieces are one and the same."""
+        """Whether all steps within the pieces are equal."""
         slack = ONE_STEP * self.step + clock_rounding(self.time)
         return bool(np.abs(self.steps - self.step).max() <= slack)
 
     def resampled(self) -> LogPieces:
-        """The pieces on even steps, the mean one; each begins with its own first sample.
+        """The pieces resampled to the mean step, each from its first sample on.
 
-        By the cubic Hermite polynomial of two neighbours; the slopes of the velocity are those of
-        the parabola through three.
+        By cubic Hermite interpolation; the slopes of the velocity are those of parabolas through
+        three samples.
         """
         from scipy.interpolate import CubicHermiteSpline  # slow to import, rarely needed
 
@@ -101,9 +101,9 @@ def filtered(values: Array, kernel: Array) -> Array:
 
 
 def pieces_of(flight: Flight, *, repair: bool, even: bool) -> tuple[LogPieces, Repairs]:
-    """The samples of a flight, as they are or made fit for a filter, and the repairs.
+    """The samples of a flight, repaired if requested, and the repairs.
 
-    even: whether a repair makes uneven time steps even; outliers are sought on even steps alone.
+    even: whether a repair resamples uneven time steps; outliers are sought on even steps only.
     """
     state, gaps = np.hstack([flight.position, flight.velocity]), bool(repair) & gaps_of(flight.time)
     piece = np.concatenate([[0], np.cumsum(gaps)])
@@ -128,11 +128,11 @@ def pieces_of(flight: Flight, *, repair: bool, even: bool) -> tuple[LogPieces, R
 def without_outliers(values: Array, window: int = 11, degree: int = 5) -> Array:
     """Positions or velocities (m, 2) on even steps, outliers replaced; the array itself if none.
 
-    The residual of a sample is that of a polynomial through the others in a window: its own weight
-    h in the fit taken out, the residual over 1 - h. An outlier is 6.5 robust standard deviations
-    off, which white noise is once in 1e6 flights, 3 times the median of the 4 on either side, and
-    a hundredth of the channel's rms deviation. Where they are a fifth of all, the others are no
-    measure of them.
+    The residual of a sample is that of a polynomial through the other samples of its window: the
+    residual of the fit over 1 - h, h the weight of the sample in its own fit. An outlier exceeds
+    6.5 robust standard deviations (white noise does so once in 1e6 flights), 3 times the median of
+    the 4 residuals on either side, and 0.01 of the channel's rms deviation. If more than a fifth of
+    the samples are outliers nothing is replaced: the others do not determine the noise level.
     """
     if len(values) < 3 * window:
         return values
@@ -144,7 +144,7 @@ def without_outliers(values: Array, window: int = 11, degree: int = 5) -> Array:
     scale = np.sqrt(np.repeat((1.0 - own) / (1.0 - own[half]), counts))
     least = 0.01 * math.sqrt(float(np.var(values, axis=0).sum()))
     rayleigh = math.sqrt(2.0 * math.log(2.0))  # the median of a pair's length
-    # The first look is by medians of 5, which neighbours that are off too do not move.
+    # The first pass predicts by medians of 5, robust against two outliers among them.
     padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
     a, b, c, d, e = (padded[j : j + len(values)] for j in range(5))
     low = np.maximum(np.minimum(a, b), np.minimum(d, e))

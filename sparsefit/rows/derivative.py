@@ -1,13 +1,13 @@
 """Rows of a flight: states and their derivatives, or averages of them, by one linear filter each.
 
-A polynomial through a window of n samples is read in the middle with its derivatives (Savitzky and
-Golay, 1964). The smoother that tunes itself has the windows of least estimated risk (Mallows, 1973;
+A polynomial is fitted to a window of n samples and evaluated with its derivatives in the middle
+(Savitzky and Golay, 1964). ``auto`` chooses the windows of least estimated risk (Mallows, 1973;
 Stein, 1981): with h the weight of the middle sample in its own estimate,
 
     risk(n) = mean((v - v_n)^2) / sigma^2 + 2 h.
 
 Averages are the weak form (Messenger and Bortz, 2021). With a bump psi_i(t) = c (1 - s^2)^p, s =
-(t - t_i) / reach, of unit integral, integration by parts moves the derivative of v onto psi:
+(t - t_i) / reach, of unit integral, integration by parts moves the derivative from v to psi:
 
     int psi Phi dt = tau (-int psi' v dt - a) + int psi v dt = int psi C(x(t)) dt W
 
@@ -37,9 +37,9 @@ METHODS = ("forward", "central", "midpoint", "savgol", "auto", "weak")
 POWER = 8  # p of a test function: tau_w errs by 1e-4 % in windows of 21 samples, by 4 of 60
 ORDER = 10  # of the polynomial; 4 doubles the error of tau_w at 0.5 m/s of noise, 8 and 10 agree
 SHORTEST = ORDER + 1  # samples of a window
-SIDE_BY_SIDE = 5  # windows in a flight: longer ones lose more at the ends than they gain
+SIDE_BY_SIDE = 5  # windows in a flight: longer windows lose more rows at the ends than they gain
 FEWEST = SIDE_BY_SIDE * SHORTEST  # samples of a flight that can be smoothed
-JUDGED = 20_000  # samples, from the middle of the flight, that choose the windows
+JUDGED = 20_000  # samples, from the middle of the flight, by which windows are chosen
 Rates = tuple[Array, Array, Array, "Smoothing"]  # time (q,), state (q, 4), rate (q, 4), the filter
 
 
@@ -47,12 +47,12 @@ Rates = tuple[Array, Array, Array, "Smoothing"]  # time (q,), state (q, 4), rate
 class Smoothing:
     """The filter of states and derivatives, and the noise levels of the flight."""
 
-    method: str  # that was used; where ``auto`` cannot be, the one it fell back to
-    reason: str = ""  # of a fall-back
+    method: str  # the method used, after a fall-back
+    reason: str = ""  # for a fall-back
     window: int = 1  # samples under the filters of position and velocity; 1: none is smoothed
     rate_window: int = 1  # samples in the window of the acceleration
     order: int = 0  # degree of the polynomial; 0 where there is none
-    sigma_position: float = math.nan  # of the measured position's noise [m], NaN if not sought
+    sigma_position: float = math.nan  # of the measured position's noise [m], NaN if not estimated
     sigma_velocity: float = math.nan  # of the measured velocity's [m/s], 0 where it was not
 
 
@@ -66,15 +66,15 @@ class Samples:
     position_rate: Array  # the position's derivative [m/s], (m, 2), not the measured velocity
     acceleration: Array  # the derivative of the velocity [m/s^2], (m, 2)
     smoothing: Smoothing = Smoothing("none")  # the filter that made them
-    averages: Samples | None = None  # rows of the regression and the readout in place of these
-    repairs: Repairs = Repairs()  # made before
-    push: Array | None = None  # the measured acceleration by the engines [m/s^2], (m, 2)
+    averages: Samples | None = None  # the rows of the regression and the readout, if not these
+    repairs: Repairs = Repairs()  # of the log
+    push: Array | None = None  # the measured thrust acceleration [m/s^2], (m, 2)
     operator: csr_array | None = None  # Psi of averages, each row of sum 1
 
     def flow_velocity(self, vehicle: PointMassVehicle) -> Array:
-        """Return the flow velocity Phi [m/s], (m, 2), that moved ``vehicle`` so (Eqs. 12-13).
+        """Return the flow velocity Phi [m/s], (m, 2), by the equation of motion (Eqs. 12-13).
 
-        Raises InputError on averages where the vehicle's response is not linear.
+        Raises InputError on averages if the vehicle's law is not linear.
         """
         if not vehicle.linear and self.operator is not None:
             raise InputError(
@@ -84,7 +84,7 @@ class Samples:
         return vehicle.flow_velocity(self.velocity, self.acceleration, self.push)
 
     def averaged(self, values: Array) -> Array:
-        """Psi times values of one row or more per sample, (r m, k); the values of samples."""
+        """Psi times values (r m, k) of r rows per sample; of samples the values themselves."""
         if self.operator is None:
             return values
         flat = values.reshape(len(self.position), -1)
@@ -104,9 +104,9 @@ class Samples:
 
 @dataclass(frozen=True)
 class Derivative:
-    """The filter that takes derivatives of a flight's samples; position and velocity alike.
+    """The filter that takes the derivatives of a flight's position and velocity.
 
-    Called with a flight of m samples it returns `Samples`, none where neighbours are missing.
+    Called with a flight it returns `Samples`, without those at the ends that lack neighbours.
 
     - ``forward``: Eq. 15, first order.
     - ``central``: three points, any spacing, second order.
@@ -114,13 +114,13 @@ class Derivative:
     - ``savgol``: a polynomial of ``order``, 4 by default, through ``window`` samples, an odd
       number, 5 by default; states are smoothed too; uniform steps only.
     - ``auto``: a polynomial through position and one through velocity, their windows chosen from
-      the flight by an unbiased risk. Short flights, and uneven steps that are not repaired, fall
-      back to ``midpoint``: ``smoothing`` says so.
+      the flight by an unbiased risk estimate. Short flights, and uneven steps that are not
+      repaired, fall back to ``midpoint``, with a reason in ``smoothing``.
     - ``weak``: averages by test functions, as wide as the window of ``auto`` and at least 21
-      samples, of the states that ``auto`` smooths, or as measured in short flights; uniform steps.
+      samples, of the states smoothed by ``auto``, in short flights as measured; uniform steps.
 
-    ``repair``: whether outliers, gaps and, for ``auto`` and ``weak``, uneven time steps are mended
-    before (`sparsefit.rows.clean`). Raises InputError on settings that are out of range.
+    ``repair``: whether outliers, gaps and, for ``auto`` and ``weak``, uneven time steps are
+    repaired first (`sparsefit.rows.clean`). Raises InputError on settings that are out of range.
     """
 
     method: str = "auto"
@@ -181,9 +181,9 @@ class Derivative:
         )  # fmt: skip
 
     def _rates(self, log: LogPieces, reason: str) -> Rates:
-        """States and rates by differences or by one polynomial, those across a gap too."""
+        """States and rates by differences or by one polynomial, across gaps too."""
         time, state = log.time, log.state
-        if self.method == "savgol":  # in full windows only: at an edge a polynomial extrapolates
+        if self.method == "savgol":  # in full windows only: at the ends it would extrapolate
             window, order = self.window or 0, self.order or 0
             if not len(log.windows(window)):
                 words = f"savgol window {window} does not fit into {len(time)} samples"
@@ -206,7 +206,7 @@ class Derivative:
 def weak_form(log: LogPieces, window: int, push: Array | None = None) -> Samples:
     """The weak form of a log on even steps, as q averages that cross no gap.
 
-    window: samples under a test function. push: measured thrust (m, 2). Raises InputError where no
+    window: samples under a test function. push: measured thrust (m, 2). Raises InputError if no
     test function fits into the flight.
     """
     from scipy.sparse import csr_array
@@ -245,8 +245,8 @@ def polynomial_kernels(window: int, order: int) -> Array:
 def noise_level(values: Array, log: LogPieces) -> float:
     """Standard deviation of white noise on smooth columns (m, c), at least that of rounding.
 
-    The q-th difference of white noise has the variance C(2q, q) sigma^2; what is left of the
-    signal only adds to it, so the least over several q is taken (Rice, 1984; Gasser, Sroka and
+    The q-th difference of white noise has the variance C(2q, q) sigma^2; the rest of the signal
+    only adds to it, so the least over several q is taken (Rice, 1984; Gasser, Sroka and
     Jennen-Steinmetz, 1986).
     """
     variances, differences = [], values
@@ -255,8 +255,8 @@ def noise_level(values: Array, log: LogPieces) -> float:
         within = differences[log.windows(order + 1)]
         if len(within):
             variances.append(float(np.mean(within**2)) / math.comb(2 * order, order))
-    # With less than rounding, that would choose the window, on each machine another; the square
-    # of a level must divide.
+    # Below rounding the window would differ from machine to machine; the squared level is a
+    # divisor, hence 1e-60.
     rounding = 64.0 * float(np.finfo(np.float64).eps) * float(np.abs(values).max())
     return max(math.sqrt(min(variances)), rounding, 1e-60)
 
@@ -265,8 +265,8 @@ def least_risk(values: Array, sigma: float, log: LogPieces) -> int:
     """The window [samples] of least risk for columns (m, c) with white noise sigma.
 
     Windows are odd, from `SHORTEST` to 1001, each 1.25 times the last, as long as they leave
-    1 - 1/`SIDE_BY_SIDE` of the flight. Bias grows steeply: a few rising risks end the search. Each
-    is compared on its own rows with the shortest one, since their noise is the same.
+    1 - 1/`SIDE_BY_SIDE` of the flight. As bias grows steeply, two rises of the risk in a row end
+    the search. Each window is compared with the shortest one on the same rows, where noise cancels.
     """
     columns, shortest = np.ascontiguousarray(values.T), np.empty(0)
     least, rising, window = (math.inf, SHORTEST), 0, SHORTEST
@@ -290,12 +290,12 @@ def least_risk(values: Array, sigma: float, log: LogPieces) -> int:
 
 
 def smooth(log: LogPieces) -> Rates:
-    """Smooth a log on even steps by the windows of least risk; those across a gap too.
+    """Smooth a log on even steps by the windows of least risk, across gaps too.
 
     Returns the times (q,) [s], the states x, y, vx, vy (q, 4) [m, m/s], their rates (q, 4)
     [m/s, m/s^2] and the filter. A velocity that was not measured is the slope of the position.
     """
-    origin = log.state[:, :2].mean(axis=0)  # positions from their mean keep their digits
+    origin = log.state[:, :2].mean(axis=0)  # subtracted to keep digits
     channels = [log.state[:, :2] - origin, log.state[:, 2:]][: 1 + log.velocity_measured]
     levels = [noise_level(values, log) for values in channels]
     first = max(0, (len(log.time) - JUDGED) // 2)
@@ -304,8 +304,8 @@ def smooth(log: LogPieces) -> Rates:
     pairs = zip(channels, levels, strict=True)
     windows = [least_risk(values[rows], level, judged) for values, level in pairs]
     widest = max(windows)
-    # v' may be noisy, as regression averages it, but what a window takes from it is missing from
-    # U0: its window is shorter. 1 costs twice the mean error of tau_w at .5 m/s, .35 to .6 agree.
+    # Regression averages noise in v', but attenuation of v' biases U0, so its window is shorter. A
+    # factor of 1 doubles the mean error of tau_w at .5 m/s of noise; .35 to .6 agree.
     shorter = [max(SHORTEST, 2 * int(0.6 * n / 2) + 1) for n in windows]
 
     def read(channel: int, window: int, derivative: int) -> Array:
@@ -313,7 +313,7 @@ def smooth(log: LogPieces) -> Rates:
         trim = (widest - window) // 2
         return filtered(channels[channel][trim : len(log.time) - trim], kernel)
 
-    # The last channel gives velocity and acceleration: by one derivative more of a position.
+    # The last channel gives velocity and acceleration, of positions by one derivative more.
     more = 1 - log.velocity_measured
     position, rate = read(0, windows[0], 0) + origin, read(0, shorter[0], 1)
     velocity, acceleration = read(-1, windows[-1], more), read(-1, shorter[-1], more + 1)

@@ -5,10 +5,10 @@ block, the referee solves
 
     minimise 1/2 sum_t v_t'G v_t - <C, V> + f sum omega_g t_g   s.t.  (t_g, V_g) in a cone,
 
-G = Z_J'Z_J/m, C = Z_J'Y/m; blocks within blocks have bounds and cones of their own, and a ridge
-adds to the diagonal of G. Other penalties and losses go to Clarabel by their conic form. Columns
-outside of J that object to being zero join, the worst first. Through cvxpy any penalty with a conic
-form is solved.
+G = Z_J'Z_J/m, C = Z_J'Y/m, and with the residual as a variable where that is not solved. Blocks
+within blocks have bounds and cones of their own, and a ridge adds to the diagonal of G. Other
+penalties and losses go to Clarabel by their conic form. Columns outside of J that violate their
+optimality conditions join, the worst first. Through cvxpy any penalty with a conic form is solved.
 
 Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. Res. 17 (2016) 1-5.
 """
@@ -40,16 +40,16 @@ BATCH, ROUNDS = 50, 60  # columns that join at a time, cone programs at a penalt
 
 @dataclass(frozen=True)
 class Clarabel:
-    """Clarabel on the columns in play: sparsefit's independent referee of every penalty.
+    """Clarabel on a working set of columns: the independent referee of every penalty.
 
-    Columns join as they object to being zero, half as many at a time as there are, or BATCH.
+    Columns that violate their optimality conditions join, BATCH or half of the set at a time.
     """
 
     name: ClassVar[str] = "clarabel"
     package: ClassVar[str] = "clarabel"
 
     def takes(self, penalty: Penalty) -> str:
-        """The reason why a penalty is not solved: it states no conic form."""
+        """The reason for refusing a penalty: it has no conic form."""
         return "" if _layers(penalty) is not None else _no_conic_form(penalty)
 
     def path(
@@ -57,8 +57,8 @@ class Clarabel:
     ) -> Array:
         """Weights (p, k, n); tolerance: of gap and feasibility, 1e-10 where none is asked for.
 
-        A point that Clarabel does not solve is NaN; of any that it does not call solved its status
-        is a warning. Raises InputError on a penalty without a conic form.
+        A point that fails is NaN; a status other than solved is issued as a warning. Raises
+        InputError on a penalty without a conic form.
         """
         if reason := self.takes(penalty):
             raise InputError(reason)
@@ -77,7 +77,8 @@ class Clarabel:
                     break
                 rest = target - design.predict(values)
                 pull = design.correlate(penalty.loss.pull(rest, target))
-                excess = np.where(in_play, -1.0, penalty.objections(pull, values, alpha))
+                excess = penalty.violations(pull, values, alpha)[penalty.units]
+                excess[in_play] = -1.0
                 worst = np.argsort(-excess)[: max(BATCH, len(index) // 2)]
                 joining = worst[excess[worst] > 1e-10]
                 if not len(joining):
@@ -96,9 +97,14 @@ def _solved(
     """V (j, n) of these columns, NaN where there is none, and Clarabel's status."""
     columns = design.columns(index)
     if _layers(penalty) is not None:
-        gram = design.products(index) + alpha * penalty.ridge * np.eye(len(index))
-        cross = columns.T @ target / design.samples
-        values, status = _cone_program(gram, cross / alpha, penalty, stop)
+        square, root = alpha * penalty.ridge * np.eye(len(index)), math.sqrt(design.samples)
+        linear = columns.T @ target / (-alpha * design.samples)
+        sums = (square + design.products(index), linear, columns[:0], target[:0])
+        values, status = _cone_program(*sums, penalty, stop)
+        if status != "Solved":  # rows keep digits that Z'Z loses of columns that are alike
+            rows = triangular(columns / root, target / (root * alpha))
+            others, word = _cone_program(square, 0.0 * linear, *rows, penalty, stop)
+            values, status = (others, word) if "Solved" in word else (values, status)
         return values * alpha, status
     asked = (columns, target, penalty, [alpha], stop, design.samples)
     ((values, status),) = BEHIND_CVXPY["clarabel"].points(*asked)
@@ -107,11 +113,11 @@ def _solved(
 
 def _no_conic_form(penalty: Penalty) -> str:
     stated = type(penalty).conic is not Penalty.conic
-    return "" if stated else f"{type(penalty).__name__} states no conic form"
+    return "" if stated else f"{type(penalty).__name__} has no method `conic`"
 
 
 def _layers(penalty: Penalty) -> list[Any] | None:
-    """The norms of one kind of block that a penalty is a sum of; None where it is no such."""
+    """The terms of a penalty, norms of one kind of block each; None of any other penalty."""
     if penalty.loss != SQUARES:
         return None
     if isinstance(penalty, SquaredNorm):
@@ -121,49 +127,70 @@ def _layers(penalty: Penalty) -> list[Any] | None:
     return [penalty] if type(penalty) in (AbsoluteValues, GroupNorms) else None
 
 
+def triangular(matrix: Array, target: Array) -> tuple[Array, Array]:
+    """The matrix (m, k) and targets (m, n) as the rows of a QR of both, where these are fewer."""
+    columns = matrix.shape[1]
+    if len(matrix) <= columns + target.shape[1]:
+        return matrix, target
+    triangle: Any = np.linalg.qr(np.hstack([matrix, target]), mode="r")
+    return triangle[:, :columns], triangle[:, columns:]
+
+
 def _cone_program(
-    gram: Array, cross: Array, penalty: Penalty, tolerance: float
+    square: Array, linear: Array, rows: Array, right: Array, penalty: Penalty, tolerance: float
 ) -> tuple[Array, str]:
-    """Clarabel's V (j, n), NaN where it has none, and its status; x = (V.T.ravel(), the bounds)."""
+    """Clarabel's V (j, n), NaN where it has none, and its status; x = (V.T, R.T, the bounds).
+
+    1/2 sum_t v_t'S v_t + <L, V> + 1/2 |R|^2 + the norms, R = right - rows V; S ``square`` (j, j), L
+    ``linear`` (j, n), rows (r, j), right (r, n).
+    """
     import clarabel
 
-    (size, targets), linear = cross.shape, [-cross.T.ravel()]
-    rows: list[IntArray] = [np.zeros(0, np.intp)]
-    cones: list[Any] = []
+    (size, targets), count = linear.shape, right.size
+    prices = [linear.T.ravel(), np.zeros(count)]
+    places: list[IntArray] = [np.zeros(0, np.intp)]
+    cones: list[Any] = [clarabel.ZeroConeT(count)] if count else []
     for layer in _layers(penalty) or []:
         apart = 0 if layer.coupled else len(layer.weights)
         block = (layer.blocks[None, :] + apart * np.arange(targets)[:, None]).ravel()
         weights = np.tile(layer.weights, 1 if layer.coupled else targets)
-        bound = sum(map(len, linear)) + np.arange(len(weights))
-        linear.append(weights)
+        bound = sum(map(len, prices)) + np.arange(len(weights))
+        prices.append(weights)
         # Rows of A: for each block its bound, then its coefficients; the cone is (t_g, V_g).
         order = np.argsort(np.concatenate([block, np.arange(len(weights)) - 0.5]), kind="stable")
-        rows.append(np.concatenate([np.arange(size * targets), bound])[order])
-        cones += [clarabel.SecondOrderConeT(1 + int(count)) for count in np.bincount(block)]
-    variables, columns = sum(map(len, linear)), np.concatenate(rows)
-    bounds = sparse.csc_matrix((variables - size * targets,) * 2)
-    quadratic = sparse.triu(sparse.block_diag([*[gram] * targets, bounds]), format="csc")
-    places = (np.arange(len(columns)), columns)
-    matrix = sparse.csc_matrix((-np.ones(len(columns)), places), (len(columns), variables))
+        places.append(np.concatenate([np.arange(size * targets), bound])[order])
+        cones += [clarabel.SecondOrderConeT(1 + int(each)) for each in np.bincount(block)]
+    variables, columns = sum(map(len, prices)), np.concatenate(places)
+    bounds = sparse.csc_matrix((variables - size * targets - count,) * 2)
+    parts: list[Any] = [*[square] * targets, sparse.eye_array(count), bounds]
+    quadratic = sparse.triu(sparse.block_diag(parts), format="csc")
+    residual: Any = sparse.block_diag([*[rows] * targets])
+    blank = sparse.coo_array((count, variables - size * targets - count))
+    ones = (-np.ones(len(columns)), (np.arange(len(columns)), columns))
+    cone = sparse.coo_array(ones, shape=(len(columns), variables))
+    whole: Any = [sparse.hstack([residual, sparse.eye_array(count), blank]), cone]
+    matrix = sparse.vstack(whole, format="csc")
+    limits = np.concatenate([right.T.ravel(), np.zeros(len(columns))])
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
     solution = clarabel.DefaultSolver(
-        quadratic, np.concatenate(linear), matrix, np.zeros(len(columns)), cones, settings
+        quadratic, np.concatenate(prices), matrix, limits, cones, settings
     ).solve()
     status = str(solution.status)
     values = np.array(solution.x)[: size * targets].reshape(targets, size).T
     usable = status in ("Solved", "AlmostSolved", "MaxIterations", "InsufficientProgress")
-    return (values if usable else np.full_like(cross, np.nan)), status
+    return (values if usable else np.full_like(linear, np.nan)), status
 
 
 @dataclass(frozen=True)
 class Cvxpy:
-    """A solver that cvxpy finds, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
+    """A solver behind cvxpy, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
 
-    name: its name in cvxpy, in lower case; package: the module it needs; tolerances: its settings
-    that hold one; more: what asks it for accuracy; extra: what pip installs, if not the package.
+    name: its name in cvxpy, in lower case; package: the module it needs; tolerances: the names of
+    its tolerances; more: further settings; extra: the name for pip, if not the package; by_rows:
+    whether to use the rows of a QR of [Z, Y] in place of Z'Z, slower and with twice the digits.
     """
 
     name: str
@@ -171,6 +198,7 @@ class Cvxpy:
     tolerances: tuple[str, ...] = ()
     more: Mapping[str, Any] = field(default_factory=dict)
     extra: str = ""
+    by_rows: bool = False
 
     def takes(self, penalty: Penalty) -> str:
         """Every penalty with a conic form; solvers of quadratic programs take no group norms."""
@@ -203,8 +231,8 @@ class Cvxpy:
     ) -> Iterator[tuple[Array, str]]:
         """V (k, n) of the columns (m, k) at each alpha, NaN where there is none, and the status.
 
-        V and the target are divided by the first alpha. Half the mean square is 1/2 v'Gv - <C, V>;
-        its root has the rows of a QR of [Z, Y], Huber's loss all rows.
+        V and the target are divided by the first alpha. Half the mean square is 1/2 v'Gv - <C, V>,
+        or has the rows of a QR of [Z, Y], as its root has; Huber's loss has all rows.
         """
         import cvxpy
 
@@ -212,24 +240,26 @@ class Cvxpy:
         variable = cvxpy.Variable((matrix.shape[1], target.shape[1]))
         scaled, fraction = target / unit, cvxpy.Parameter(nonneg=True, value=1.0)
         level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
-        if loss == SQUARES:
+        if loss == SQUARES and not self.by_rows:
             gram = matrix.T @ matrix / samples
             root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
             objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
             for t in range(target.shape[1]):
                 objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
-        elif isinstance(loss, RootSquares):
-            triangle: Any = np.linalg.qr(np.hstack([matrix, scaled]), mode="r")
-            matrix, scaled = triangle[:, : matrix.shape[1]], triangle[:, matrix.shape[1] :]
-            size = cvxpy.norm(matrix @ variable - scaled, "fro") / math.sqrt(samples)
-            objective = math.sqrt(float(np.sum(level**2))) * size
+        elif np.isinf(loss.clip):
+            matrix, scaled = triangular(matrix, scaled)
+            residual = matrix @ variable - scaled
+            objective = cvxpy.sum_squares(residual) / (2 * samples)
+            if isinstance(loss, RootSquares):
+                size = cvxpy.norm(residual, "fro") / math.sqrt(samples)
+                objective = math.sqrt(float(np.sum(level**2))) * size
         else:
             residual = matrix @ variable - scaled
-            parts = [
-                cvxpy.sum(cvxpy.huber(residual[:, t], float(reach))) / (2 * samples)
-                for t, reach in enumerate(loss.bound(scaled))
-            ]
-            objective = cvxpy.sum(cvxpy.hstack(parts))
+            if loss.direction is not None:  # an intercept, which costs nothing
+                residual = residual + loss.direction[:, None] @ cvxpy.Variable((1, target.shape[1]))
+            knots = np.broadcast_to(loss.bound(scaled), scaled.shape)
+            unit_free = cvxpy.huber(cvxpy.multiply(1.0 / knots, residual), 1.0)
+            objective = cvxpy.sum(cvxpy.multiply(knots**2 / (2 * samples), unit_free))
         if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit
             penalty = penalty.in_units(unit)
         norm, constraints = penalty.conic(variable, cvxpy)
@@ -256,10 +286,9 @@ class Cvxpy:
 
 
 EPS, EXTRA = ("eps_abs", "eps_rel"), "'sparsefit[peers]'"
+CLARABEL = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
 _LISTED = (
-    Cvxpy(
-        *("clarabel", "clarabel", ("tol_gap_abs", "tol_gap_rel", "tol_feas"), {"max_threads": 1})
-    ),
+    Cvxpy("clarabel", "clarabel", CLARABEL, {"max_threads": 1}, by_rows=True),
     Cvxpy("osqp", "osqp", EPS, {"max_iter": 50_000, "polishing": True}),
     Cvxpy("scs", "scs", EPS, {"max_iters": 50_000}),
     Cvxpy("piqp", "piqp", EPS, extra=EXTRA),

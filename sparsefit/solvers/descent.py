@@ -1,13 +1,13 @@
-"""The LASSO and elastic net of a sparse design: descent, and an exact polish without Z'Z.
+"""LASSO and elastic net of a sparse design: coordinate descent, and an exact polish without Z'Z.
 
-At each penalty the columns of the strong rule and those in use are in play. Coordinate descent on
-these finds signs s; the optimum for signs on the columns A that are not zero,
+At each penalty the working set has the columns that the strong rule admits, and the support. On it
+coordinate descent finds signs s; the optimum for these signs on the support A,
 
     (Z_A'Z_A/m + mu I) v = Z_A'y/m - alpha w s,
 
-is found by conjugate gradients with Z_A itself, as far as no sign changes; columns whose sign would
-change are zero then. One product Z'R over all columns tells who objects. Thousands of columns may
-be in use: no matrix is formed.
+is approached by conjugate gradients with Z_A itself until a sign would change; such columns become
+zero. One product Z'R tests the optimality conditions of all columns. Supports may have thousands
+of columns: no matrix is formed.
 
 Sources: Tibshirani et al., J. R. Stat. Soc. B 74 (2012) 245-266, the strong rule; Hestenes and
 Stiefel, J. Res. NBS 49 (1952) 409-436.
@@ -22,17 +22,17 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues
 
-ROUGH = 1e-3  # of alpha: the moves at which descent hands over to the polish
-SHARPER = 0.1  # by how much, where signs were not right
-SWEEPS = 1000  # the most of one descent
+ROUGH = 1e-3  # of alpha: the largest move of a sweep, at which descent ends
+SHARPER = 0.1  # by which that is multiplied where its signs are not those of the optimum
+SWEEPS = 1000  # at most, of one descent
 ROUNDS, POLISHES = 40, 40
-INEXACT = 0.1  # of what the polish begins with, until signs no longer change
-GRADIENTS = 2000  # the most steps of conjugate gradients
-EXACT = 1e-10  # of alpha: what a correlation may be off by
+INEXACT = 0.1  # of its first residual, to which a polish is solved while signs change
+GRADIENTS = 2000  # steps of conjugate gradients, at most
+EXACT = 1e-10  # of alpha: the error of a correlation at an optimum
 
 
 class Walk:
-    """Where the path stands: V (k,) and the residual (m,); both are worked on in place."""
+    """The iterate along a path: V (k,) and the residual (m,), both updated in place."""
 
     def __init__(self, design: Design, target: Array) -> None:
         self.design, self.scale = design, 1.0 / design.rms
@@ -40,7 +40,7 @@ class Walk:
         self.values, self.steps = np.zeros(design.shape[1]), 0
 
     def settle(self, limits: Array, ridge: float, in_play: BoolArray) -> tuple[Array, bool]:
-        """The optimum at limits alpha w (k,) and a ridge: Z'R/m (k,), and whether it is one."""
+        """Solve at limits alpha w (k,) and a ridge: Z'R/m (k,), and whether it is solved."""
         alpha, rough, pull = float(limits.max()), ROUGH, limits
         for _ in range(ROUNDS):
             self._descend(limits, ridge, np.flatnonzero(in_play), rough * alpha)
@@ -67,7 +67,7 @@ class Walk:
             self.residual -= shift * design.direction
 
     def _polish(self, limits: Array, ridge: float, alpha: float) -> bool:
-        """Go to the optimum for the signs at hand; whether it was reached."""
+        """Go towards the optimum for the present signs; whether it was reached."""
         samples = float(self.design.samples)
         for _ in range(POLISHES):
             used = np.flatnonzero(self.values)
@@ -120,7 +120,7 @@ class Walk:
 def descent_path(
     design: Design, target: Array, cross: Array, penalty: AbsoluteValues, alphas: Array
 ) -> tuple[Array, BoolArray, IntArray]:
-    """Weights V (p, k) of one target (m,) at descending alphas, which are optima, and steps.
+    """Weights V (p, k) of one target (m,) at descending alphas (p,), which are solved, and steps.
 
     cross Z'y/m (k,).
     """

@@ -1,20 +1,30 @@
-"""Exact paths of any penalty on a design of any shape: working sets around the kernels.
+"""Exact regularisation paths of any penalty, on designs of any shape, by working sets.
 
-The columns of the largest |Z'Y| are in play at first. A kernel follows the path on these; the
-correlations of all columns with the residuals of several penalties, in one product, tell the first
-penalty at which a column outside objects. The path goes on from the penalty before it, with those
-columns, and no more than half as many as there are (of groups as many, near ones too).
-Where the columns are few, all of them are in play, and Z'Z is formed once for all targets.
+    minimise over V (k, n):   1/(2m) |Y - Z V|^2 + alpha Omega(V),   alpha_1 > alpha_2 > ...
 
-The square-root loss has the conditions of the squares with the penalty t = a rho/y, rho the
-residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): its path is that at other penalties.
-Huber's loss is the squares with a column of the identity for each row, an outlier that costs c y.
+A working set J begins with the columns of the largest |Z'Y|. A kernel (`kernels`) solves the next
+`AHEAD` penalties on J alone, warm-started; one product Z'R with the residuals of all of them tests
+the optimality conditions of the columns outside: for each block g, the dual norm of Z_g'R/m is at
+most alpha. The solutions before the first violation are final. The violating blocks join J, the
+largest violation first, and the path goes on from the last final solution. At most `FEW` columns
+are all in the working set, and Z'Z is formed once for all targets.
+
+Iterative kernels solve to a rough accuracy first, which suffices to extend J. A residual R that
+moved little since its columns were tested, R0, needs few products again: |z_j'(R - R0)|/m <=
+|R - R0|/sqrt(m) for columns of unit rms, a safe screening rule by a sphere around R0/m.
+
+The square-root loss has the optimality conditions of the squares at the penalty t = a rho/y, rho
+the residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): `_root_path` solves for t. Huber's
+loss is the squares with one more column for each row, an outlier (`outliers`).
+Sources: Johnson and Guestrin, "Blitz: a principled meta-algorithm for scaling sparse optimization"
+(ICML 2015), working sets; Ndiaye, Fercoq, Gramfort and Salmon, J. Mach. Learn. Res. 18 (2017) 128,
+safe screening.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise, starmap
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +32,13 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.design import Design, Statistics
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
-from sparsefit.regression.penalties import AbsoluteValues, Penalty, SquaredNorm
+from sparsefit.regression.penalties import AbsoluteValues, BoundedValues, Penalty, SquaredNorm
 from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import (
     BEGIN,
     DESCENDED,
     KERNELS,
+    ROUGH,
     STOP,
     Points,
     compiled,
@@ -37,23 +48,24 @@ from sparsefit.solvers.kernels import (
 from sparsefit.solvers.newton import Columns, definite
 from sparsefit.solvers.outliers import outlier_path
 
-FEW = 600  # columns that are all in play at once
-START = 200  # columns in play at first
-SEVERAL = 4  # penalties, below which Z'Z is not formed for them alone
-AHEAD = 8  # penalties that are solved before all columns are asked
-NEAR = 0.1  # below alpha, where groups join that do not object yet
-ROUGH = 1e-5  # relative gap at which slow kernels tell which columns join
-FEASIBLE = 3e-10  # relative excess of a correlation over alpha that is no objection
-HELD = 2**25  # entries of the columns in play that are held as rows beside their products
+FEW = 600  # columns, at most, that are all in the working set
+START = 200  # columns of the first working set
+SEVERAL = 4  # penalties at least, for which Z'Z of all columns is formed
+AHEAD = 8  # penalties that are solved before the columns outside are tested
+NEAR = 0.1  # groups whose dual norm exceeds (1 - NEAR) alpha join with those that violate
+FEASIBLE = 3e-10  # relative excess of a dual norm over alpha that counts as rounding
+STORED = 2**25  # entries of Z_J, at most, of which a dense copy is stored
 
 
 @dataclass(frozen=True, eq=False)
-class InPlay:
-    """Columns in play: their indices (j,), B (j, q), Z_J'Z_J/m, and Z_J (m, j) where it is held.
+class WorkingSet:
+    """The columns J of a working set, index (j,), with what kernels need of them.
 
-    Where the columns are more than the rows, some kernels do without their products. store (s, m):
-    the columns, and room for those to come, which takes no memory before. For descent each block is
-    turned into its principal columns, which keeps its norm: turns have its places and the matrix.
+    cross B = Z_J'Y/m (j, q); gram Z_J'Z_J/m (j, j), None for kernels that work on Z_J; store
+    (s, m): Z_J' and space for further columns, whose pages are not touched before; None where it
+    would be large, or the design is sparse. rotations: block descent has orthogonal columns within
+    each block, Z_g Q_g with the eigenvectors Q_g of Z_g'Z_g, which leaves |V_g| as it is; positions
+    (b, size) of the blocks of one size, and Q_g' (b, size, size).
     """
 
     design: Design
@@ -63,22 +75,24 @@ class InPlay:
     cross: Array
     store: Array | None
     gram: Array | None
-    turns: tuple[tuple[slice, Array], ...] | None = None
+    rotations: tuple[tuple[IntArray, Array], ...] | None = None
 
-    def joined(self, new: IntArray, cross: Array, by_gram: bool) -> InPlay:
-        """With further columns, in whole blocks, behind those that there are; cross is Z'Y/m."""
-        blocks, old, gram, turns = self.penalty.blocks, len(self.index), None, self.turns
+    def extended(self, new: IntArray, cross: Array, by_gram: bool) -> WorkingSet:
+        """The set with the columns ``new``, whole blocks, at its end; cross is Z'Y/m (k, q)."""
+        blocks, old, gram, rotations = self.penalty.blocks, len(self.index), None, self.rotations
         new = new[np.argsort(blocks[new], kind="stable")]
         index, pull = np.concatenate([self.index, new]), np.concatenate([self.cross, cross[new]])
-        store = self.store if self.design.shape[0] * len(index) <= HELD else None
+        store = self.store if self.design.shape[0] * len(index) <= STORED else None
         if store is not None:
             store[old : len(index)] = self.design.columns(new).T
-        if store is not None and turns is not None:
-            ends = old + 1 + np.flatnonzero(np.diff(blocks[new], append=-1))
-            for part in starmap(slice, pairwise([old, *ends.tolist()])):
-                turn = np.linalg.eigh(store[part] @ store[part].T)[1].T
-                store[part], pull[part] = turn @ store[part], turn @ pull[part]
-                turns = (*turns, (part, turn))
+        if store is not None and rotations is not None:
+            first, sizes = np.unique(blocks[new], return_index=True, return_counts=True)[1:]
+            for size in np.unique(sizes):
+                part = old + np.add.outer(first[sizes == size], np.arange(size))
+                rows = store[part]
+                rotation = np.linalg.eigh(rows @ rows.transpose(0, 2, 1))[1].transpose(0, 2, 1)
+                store[part], pull[part] = rotation @ rows, rotation @ pull[part]
+                rotations = (*rotations, (part, rotation))
         if by_gram and self.gram is not None:
             gram = np.empty((len(index), len(index)))
             gram[:old, :old] = self.gram
@@ -87,14 +101,17 @@ class InPlay:
             else:
                 gram[old:] = self.design.products(new, index)
             gram[:old, old:] = gram[old:, :old].T
-        return replace(self, index=index, cross=pull, store=store, gram=gram, turns=turns)
+        return replace(self, index=index, cross=pull, store=store, gram=gram, rotations=rotations)
 
     @property
-    def sums(self) -> Columns:
-        """The sums that kernels need of them."""
+    def problem(self) -> Columns:
+        """The problem on these columns, as kernels take it; Z_J of a sparse design is sparse."""
         part = self.penalty.restricted(self.index)
         assert part is not None
-        rows = None if self.store is None else self.store[: len(self.index)].T
+        rows: Any = None if self.store is None else self.store[: len(self.index)].T
+        if self.gram is None and rows is None:
+            rows = self.design.csc[:, self.index]
+            rows.data = rows.data / np.repeat(self.design.rms[self.index], np.diff(rows.indptr))
         return Columns(part, self.cross, self.design.samples, self.gram, rows, self.target)
 
     def fitted(self, values: Array) -> Array:
@@ -109,11 +126,11 @@ class InPlay:
         full[self.index] = values
         return self.design.predict(full)
 
-    def back(self, values: Array) -> Array:
-        """V (a, j, q) of the columns as they are, before they were turned."""
+    def unrotated(self, values: Array) -> Array:
+        """V (a, j, q) of the columns of Z, from those of the rotated ones."""
         out = values.copy()
-        for part, turn in self.turns or ():
-            out[:, part] = turn.T @ values[:, part]
+        for part, rotation in self.rotations or ():
+            out[:, part] = rotation.transpose(0, 2, 1) @ values[:, part]
         return out
 
 
@@ -125,9 +142,9 @@ def exact_path(
     *,
     statistics: Statistics | None = None,
 ) -> Points:
-    """The optimum at descending penalties alphas (p,), for targets (m, n).
+    """Solutions V (p, k, n), of columns of unit rms, at descending penalties alphas (p,).
 
-    statistics: of the design and the target, where the caller has them already.
+    design Z (m, k), target Y (m, n); statistics: their sums, where the caller has them already.
     """
     statistics = statistics or Statistics.on(design, target)
     if isinstance(penalty.loss, RootSquares):
@@ -136,6 +153,24 @@ def exact_path(
         return outlier_path(design, target, statistics.cross, penalty, alphas)
     if isinstance(penalty, SquaredNorm):
         return _ridge_path(design, target, penalty, alphas, statistics)
+    if not (isinstance(penalty, BoundedValues) and penalty.is_bounded):
+        return _by_targets(design, target, penalty, alphas, statistics)
+    # Within its bounds the LASSO is the optimum, and its path the faster and better conditioned.
+    free = AbsoluteValues(penalty.weights, ridge=penalty.ridge)
+    points = _by_targets(design, target, free, alphas, statistics)
+    beyond = np.flatnonzero(np.isinf(penalty.norm(points.weights)))
+    if len(beyond):
+        bounded = _by_targets(design, target, penalty, alphas[beyond], statistics)
+        for name in ("weights", "complete", "steps"):
+            getattr(points, name)[beyond] = getattr(bounded, name)
+        points = replace(points, words=bounded.words)
+    return points
+
+
+def _by_targets(
+    design: Design, target: Array, penalty: Penalty, alphas: Array, statistics: Statistics
+) -> Points:
+    """The path with the loss of squares, target by target where nothing couples these."""
     targets = target.shape[1]
     alone = targets == 1 or not penalty.coupled
     if type(penalty) is GroupNorms and alone and np.bincount(penalty.groups).max() == 1:
@@ -162,7 +197,7 @@ def _along(
     alphas: Array,
     statistics: Statistics,
 ) -> Points:
-    """The path of targets (m, q) that share the norm of each block."""
+    """The path of targets (m, q) whose blocks span all of them; cross Z'Y/m (k, q)."""
     k, count = len(cross), len(alphas)
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples))
     if level == 0.0 or not cross.any():
@@ -170,8 +205,9 @@ def _along(
     if isinstance(penalty, AbsoluteValues) and _descends(design, penalty):
         weights, complete, steps = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
         return Points(weights[:, :, None], complete, steps, "descent")
-    single = count < SEVERAL  # whether Z'Z is there or not: answers depend on the data alone
-    if (k <= FEW and not single) or penalty.restricted(np.arange(1)) is None:
+    # Not on whether Z'Z was formed already: solutions depend on the data alone.
+    few = FEW if count >= SEVERAL else START // 8
+    if k <= few or penalty.restricted(np.arange(1)) is None:
         return path_on_gram(statistics.gram, cross, penalty, alphas, level**2)
     own = penalty.in_units(level)
     points = _with_working_set(design, target / level, cross / level, own, alphas / level)
@@ -179,7 +215,7 @@ def _along(
 
 
 def _descends(design: Design, penalty: Penalty) -> bool:
-    """Whether columns stay sparse, as more of them may be in use than events are quick for."""
+    """Whether the LASSO goes by coordinate descent on sparse columns: supports may be large."""
     large = design.kind == "sparse" and min(design.shape) > FEW and design.csc.nnz < 2**31
     return large and type(penalty) is AbsoluteValues and bool(compiled("sweeps"))
 
@@ -187,82 +223,121 @@ def _descends(design: Design, penalty: Penalty) -> bool:
 def _with_working_set(
     design: Design, target: Array, cross: Array, penalty: Penalty, alphas: Array
 ) -> Points:
-    """The path in units of the target on the columns in play, few of them at first."""
+    """The path of a target of unit rms, |Y|^2/m = 1, by working sets."""
     (k, q), count, m = cross.shape, len(alphas), design.shape[0]
     name, pull = kernel_for(penalty, q), penalty.block_dual_norms(cross).max(axis=-1)
-    # The whole blocks of the largest dual norms; of one block of all columns the largest |Z'Y|.
-    pull = pull[penalty.blocks] if len(pull) > 1 else np.abs(cross).max(axis=1)
+    if len(pull) <= penalty.units.max():  # a norm of all columns
+        pull = np.abs(cross).max(axis=1)
     start = START if k > FEW else START // 8
-    index = _whole(penalty, np.argsort(-pull, kind="stable"), start)
+    index = _leading(penalty.units, np.argsort(-pull, kind="stable"), start)
     # Sparse columns stay so.
-    store = None if design.kind == "sparse" else np.empty((min(k, HELD // m), m))
+    store = None if design.kind == "sparse" else np.empty((min(k, STORED // m), m))
     whole = store is not None and len(store) == k
-    turns = () if name == "variational" and whole and k > FEW else None
-    play = InPlay(design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), turns)
-    play = play.joined(index, cross, True)
+    rotations = () if name == "variational" and whole and k > FEW else None
+    working = WorkingSet(
+        design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), rotations
+    )
+    if rotations is not None and 3 * len(index) > m:
+        name = "block descent"
+    working = working.extended(index, cross, _by_gram(design, name, len(index), whole))
     points = Points.zeros(count, cross)
-    done, attempts = 0, {BEGIN: np.zeros((len(index), q))}
+    done, warm_starts = 0, {BEGIN: np.zeros((len(index), q))}
     while done < count:
-        if turns is not None and 3 * len(play.index) > m:
+        if rotations is not None and 3 * len(working.index) > m:
             name = "block descent"
         here, goal = alphas[done : done + AHEAD], DESCENDED if name == "block descent" else STOP
         stops = (goal,) if name in ("homotopy", "variational") else (ROUGH, goal)
         near = NEAR if name in ("variational", "block descent") else 0.0
+        problem, before = working.problem, None
         for stop in stops:
-            stretch = KERNELS[name](play.sums, here, attempts, stop)
-            attempts |= dict(zip(here.tolist(), stretch.weights, strict=True))
-            accepted, new = _objections(play, here, stretch.weights, near)
+            batch = KERNELS[name](problem, here, warm_starts, stop)
+            warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
+            accepted, new, before = _violations(working, here, batch.weights, near, before)
             if len(new):
                 break
         accepted = 0 if stop == ROUGH else accepted
         until = done + accepted
-        points.weights[done:until, play.index] = play.back(stretch.weights[:accepted])
-        points.complete[done:until] = stretch.complete[:accepted]
-        points.steps[done:until] = stretch.steps[:accepted]
+        points.weights[done:until, working.index] = working.unrotated(batch.weights[:accepted])
+        points.complete[done:until] = batch.complete[:accepted]
+        points.steps[done:until] = batch.steps[:accepted]
         done = until
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
-        attempts = {at: np.pad(v, wider) for at, v in attempts.items() if at <= reached}
+        warm_starts = {at: np.pad(v, wider) for at, v in warm_starts.items() if at <= reached}
         if len(new):
-            size = len(play.index) + len(new)
-            in_rows = 4 * size > m if name == "block descent" else name == "newton" and size > m
-            play = play.joined(new, cross, not (whole and in_rows))
-    return replace(points, words=f"{name}, {len(play.index)} columns in play")
+            by_gram = _by_gram(design, name, len(working.index) + len(new), whole)
+            working = working.extended(new, cross, by_gram)
+    return replace(points, words=f"{name}, {len(working.index)} columns in play")
 
 
-def _objections(play: InPlay, alphas: Array, values: Array, near: float) -> tuple[int, IntArray]:
-    """The penalties before the first at which a column outside objects, and those to join.
+def _by_gram(design: Design, name: str, size: int, whole: bool) -> bool:
+    """Whether a kernel takes Z_J'Z_J of a working set of that size, or else Z_J.
 
-    values (a, j, q) at alphas (a,). Those that object to the first three points join, and those as
-    ``near`` to it, a share of alpha.
+    whole: whether a dense Z_J is stored, of however many columns.
     """
-    (count, size, q), penalty = values.shape, play.penalty
+    if name == "cluster descent":
+        return design.kind != "sparse" or design.direction is not None or design.csc.nnz >= 2**31
+    few = {"block descent": design.shape[0] // 4, "newton": design.shape[0]}
+    return not whole or size <= few.get(name, size)
+
+
+def _violations(
+    working: WorkingSet,
+    alphas: Array,
+    values: Array,
+    near: float,
+    before: tuple[Array, Array] | None,
+) -> tuple[int, IntArray, tuple[Array, Array]]:
+    """Test the optimality conditions of the columns outside a working set.
+
+    values (a, j, q): its solutions at alphas (a,); before: what the last test at these alphas
+    returned, if there was one. Returns the number of solutions before the first violation, the
+    columns to join, sorted, and the residuals (m, a q) with the relative violations (a, u) of all
+    units. Units join that violate the conditions of the first three solutions with a violation, or
+    whose dual norm there exceeds (1 - near) alpha.
+    """
+    (count, size, q), penalty, design = values.shape, working.penalty, working.design
+    (m, k), units = design.shape, penalty.units
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
-    residual = np.tile(play.target, (1, count)) - play.fitted(flat)
-    pulls = play.design.correlate(residual).reshape(-1, count, q).transpose(1, 0, 2)
-    full, excess = np.zeros(pulls.shape[1:]), np.empty(pulls.shape[:2])
-    for i, alpha in enumerate(alphas.tolist()):
-        full[play.index] = values[i]
-        excess[i] = penalty.objections(pulls[i], full, alpha)
-    excess[:, play.index] = -2.0
+    residual = np.tile(working.target, (1, count)) - working.fitted(flat)
+    separate, doubtful = type(penalty).violations is Penalty.violations, np.arange(k)
+    if before is not None and separate:
+        # Each entry of Z'(R - R0)/m is at most |R - R0|/sqrt(m).
+        moves = np.square(residual - before[0]).reshape(m, count, q).sum(axis=(0, 2))
+        moves = np.sqrt(moves / design.samples) / np.maximum(alphas, 1e-150)
+        ones = np.ones((k, q))
+        unit = np.maximum(*(penalty.block_dual_norms(part).max(axis=-1) for part in (ones, -ones)))
+        excess = before[1] + np.multiply.outer(moves, unit)
+        doubtful = np.flatnonzero((excess > FEASIBLE).any(axis=0)[units])
+    if 4 * len(doubtful) > k:
+        pulls = design.correlate(residual)
+    else:
+        pulls = np.zeros((k, count * q))
+        pulls[doubtful] = design.columns(doubtful).T @ residual / design.samples
+    pulls = pulls.reshape(k, count, q).transpose(1, 0, 2)
+    if separate:
+        excess = penalty.violations(pulls, pulls, alphas)
+    else:
+        full = np.zeros(pulls.shape)
+        full[:, working.index] = values
+        points = zip(pulls, full, alphas.tolist(), strict=True)
+        excess = np.array([penalty.violations(*point) for point in points])
+    excess[:, units[working.index]] = -2.0
+    seen = residual, excess
     objecting = np.flatnonzero((excess > FEASIBLE).any(axis=1))
     if not len(objecting):
-        return count, np.zeros(0, dtype=np.intp)
+        return count, np.zeros(0, dtype=np.intp), seen
     worst = excess[objecting[:3]].max(axis=0)
-    new = np.argsort(-worst, kind="stable")[: np.count_nonzero(worst > (-near or FEASIBLE))]
-    return int(objecting[0]), _whole(penalty, new, max(size if near else size // 2, START // 4))
+    order = np.argsort(-worst, kind="stable")[: np.count_nonzero(worst > (-near or FEASIBLE))]
+    most = 2 * size if near or not separate else size // 2
+    return int(objecting[0]), _leading(units, order, max(most, START // 4)), seen
 
 
-def _whole(penalty: Penalty, columns: IntArray, most: int) -> IntArray:
-    """The blocks of the leading columns, at most so many columns where one block is not more."""
-    blocks = penalty.blocks
-    if blocks[0] == blocks[-1]:  # one block of all columns
-        return np.sort(columns[:most])
-    named = blocks[columns]
-    first = np.sort(np.unique(named, return_index=True)[1])
-    order = named[first]
-    sizes = np.cumsum(np.bincount(blocks)[order])
-    chosen = order[: max(int(np.searchsorted(sizes, most, side="right")), 1)]
-    return np.flatnonzero(np.isin(blocks, chosen))
+def _leading(units: IntArray, order: IntArray, most: int) -> IntArray:
+    """The columns, sorted, of the first units of an order: ``most``, but one unit at least."""
+    sizes, joins = np.bincount(units), np.zeros(units.max() + 1, bool)
+    last = int(np.searchsorted(np.cumsum(sizes[order]), most, side="right"))
+    joins[order[: max(last, 1)]] = True
+    return np.flatnonzero(joins[units])
 
 
 def _ridge_path(
@@ -288,7 +363,7 @@ def _ridge_path(
     return points
 
 
-NEAREST = 1e-11  # of the largest penalty: the smallest t that is asked for,
+NEAREST = 1e-11  # of the largest penalty: the smallest t that is tried,
 DESCENT = 1e-3  # or by descent, which takes minutes to fit exactly: points below are incomplete
 SETTLED = 1e-11  # relative excess of t^2 that ends the search
 ROUNDING = 1e-15  # of (y + |V|_1)^2: what rho^2 from Z'Z may be off by, which ends it too
@@ -349,5 +424,5 @@ def _root_path(
         x[at] = np.where(near, x[at], np.where(beyond, least, following))
         floor[at] = tried
         complete[at] = (near | narrow) & ~gone & solved
-        is_open[at] = ~(near | narrow | gone) & solved
+        is_open[at] = ~(near | narrow | gone)
     return Points(values, complete, steps, f"root of the scaled path; {words}")

@@ -1,4 +1,4 @@
-"""Group MCP (Breheny and Huang 2015): the group-LASSO without its bias on what is clearly there.
+"""Group MCP (Breheny and Huang 2015): the group-LASSO without its bias on large groups.
 
     1/(2m) |Y - Z V|^2 + sum_g p(|V_g|),   p'(t) = (alpha - t/gamma)_+,   p(0) = 0
 
@@ -32,8 +32,8 @@ ROUNDS = 100
 class GroupMCP(Checked):
     """Group MCP at alpha = alpha_fraction * alpha_max, that of the group-LASSO; omega_g = 1.
 
-    gamma > 1: how soon the penalty lets go, at |V_g| = gamma alpha; large, it is the group-LASSO. A
-    group spans all targets. alpha_fraction ``auto``: chosen by `fit` by cross-validation, as an
+    gamma > 1: the penalty is constant from |V_g| = gamma alpha on; a large one is the group-LASSO.
+    A group spans all targets. alpha_fraction ``auto``: chosen by `fit` by cross-validation, as an
     information criterion counts degrees of freedom of convex penalties.
     """
 
@@ -77,7 +77,7 @@ class GroupMCP(Checked):
         return
 
     def next_weights(self, problem: RegressionProblem, weights: Array) -> Array:
-        """The weights (k, n) that one more approximation makes of these."""
+        """The weights (k, n) after one more local linear approximation at these."""
         penalty, rms = self.penalty(problem), problem.design.rms[:, None]
         fraction = numeric_fraction(self.name, self.alpha_fraction)
         alpha = fraction * alpha_max(problem.statistics.cross, penalty)

@@ -13,10 +13,10 @@ of mu since the last penalty; and at weights from anywhere it makes the walk a r
 weights, all positive, grow by H^-1 (alpha(0) - alpha(1) - s delta_A) for each unit of t, until an
 event: a column whose correlation reaches alpha enters, an active weight that reaches zero leaves.
 
-M = H^-1 is bordered and eliminated by M +- x x'/pivot; the product G x, which the path needs
-anyway, shows how far x is from exact: x is refined where digits are missing, and the walk begins
-afresh, on an M by pivoted Cholesky, where they are many. A column that depends on active ones waits
-until one of these leaves. At each requested alpha exact correlations tell whether it is an optimum.
+M = H^-1 is updated by M +- x x'/pivot at each event. The product G x, which the path needs anyway,
+shows the error of x: x is refined where it is above rounding, and where it is large M is computed
+again by pivoted Cholesky. A column that depends linearly on active ones waits until one of these
+leaves. At each requested alpha the optimality conditions are checked with exact correlations.
 
 Sources: Osborne, Presnell and Turlach, IMA J. Numer. Anal. 20 (2000) 389-403; Efron, Hastie,
 Johnstone and Tibshirani, Ann. Statist. 32 (2004) 407-499; Asif and Romberg, IEEE Trans. Signal
@@ -33,20 +33,20 @@ from scipy.linalg.cython_lapack cimport dpotri, dpstrf
 cdef enum:
     FINE = 0
     DEPENDENT = 1  # the column lies in the span of the active ones
-    WORN = 2  # M no longer describes the active block: walk on with another
+    WORN = 2  # M is no longer accurate enough: compute it again
     OPEN = 0  # a column outside, that may enter; others are WAITING,
     WAITING = 1  # as they depend on active ones, or
     ACTIVE = 2
-    STALE_AGE = 10  # updates of M before another is worth its price
+    STALE_AGE = 10  # updates of M before it is computed again
     ATTEMPTS = 8  # at one alpha, those after the third with a larger factor on what is dependent
-    FRESH_STARTS = 60  # at one alpha, with another M
+    FRESH_STARTS = 60  # at one alpha, with M computed again
     STEPS_PER_COLUMN = 3  # to one requested alpha, and
     STEPS_AT_LEAST = 50  # these; more is taken for cycling
 
 cdef:
     double REFINE_ABOVE = 1e-11  # error of a direction on the active rows that is worth refining
-    double STALE_ABOVE = 1e-8  # error at which M is made again, STALE_AGE permitting
-    double WRONG_ABOVE = 1e-3  # error at which M is made again at once
+    double STALE_ABOVE = 1e-8  # error at which M is computed again after STALE_AGE updates
+    double WRONG_ABOVE = 1e-3  # error at which M is computed again at once
     double DEPENDENT_BELOW = 1e-13  # pivot, per unit of x'x: what rounding in G alone can produce
     double CAUTION = 1e2  # by which it grows where attempts fail
     double TINY = 1e-300  # what divisors are at least
@@ -57,7 +57,7 @@ cdef:
 
 
 cdef class Homotopy:
-    """Where the path stands, for G (k, k), its largest diagonal about one, c (k,) and rho (k,).
+    """The state of a path of G (k, k), its largest diagonal about one, c (k,) and rho (k,).
 
     index, sign (n,): the active columns, in no particular order; rows (n, k): those of G, times the
     sign; inverse: M in its leading n x n block, `age` updates old; weights and slope (n,): signed
@@ -95,7 +95,7 @@ cdef class Homotopy:
         self.start(np.zeros(k), 0.0)
 
     def start(self, const double[::1] weights, double alpha):
-        """Stand at the weights (k,) of the optimum at alpha; where they are zero, at the largest."""
+        """Begin at the weights (k,) of the optimum at alpha; at alpha_max where they are zero."""
         for j in range(self.k):
             self.known[j] = weights[j]
         return_to_known(self, alpha)
@@ -161,7 +161,7 @@ cdef void place(Homotopy h, Py_ssize_t position, Py_ssize_t column, double sign)
 
 
 cdef int inverted(Homotopy h, double alpha) noexcept:
-    """M afresh, with mu at this alpha; active columns that depend on others wait, at zero.
+    """Compute M again, with mu at this alpha; active columns that depend on others wait, at zero.
 
     Correlations are exact then.
     """
@@ -196,7 +196,7 @@ cdef int inverted(Homotopy h, double alpha) noexcept:
 
 
 cdef int return_to_known(Homotopy h, double alpha) noexcept:
-    """Stand at the known weights, for alpha."""
+    """Begin again at the known weights, for alpha."""
     h.n = 0
     h.alpha = alpha
     for j in range(h.k):
@@ -225,9 +225,9 @@ cdef void excess(Homotopy h, double alpha) noexcept:
 
 
 cdef int refined(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale) noexcept:
-    """Refine the step x (count,) and its product by what is wrong with H x on the active rows.
+    """Refine the step x (count,) and its product by the residual of H x on the active rows.
 
-    That should be zero, but one at `position`, if >= 0. WORN: M is too old.
+    H x should be zero there, and one at `position`, if >= 0. WORN: M is inaccurate.
     """
     cdef double worst
     combine(h.rows, h.k, count, h.step, h.product)
@@ -246,7 +246,7 @@ cdef int refined(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale
 
 
 cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double fall) noexcept:
-    """Let a column in with weight zero and bend the slope; a dependent one has to wait.
+    """Activate a column with weight zero and update the slope; a dependent one has to wait.
 
     The step x is one unit of the column, the others reacting so that their correlations stay.
     """
@@ -281,7 +281,7 @@ cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double 
 
 
 cdef int leave(Homotopy h, Py_ssize_t position) noexcept:
-    """Take a column out at weight zero and bend the slope; those that waited may try again.
+    """Deactivate a column at weight zero and update the slope; waiting columns may enter again.
 
     The step x changes one active correlation by one and no other: it is a column of M.
     """
@@ -316,7 +316,7 @@ cdef int leave(Homotopy h, Py_ssize_t position) noexcept:
 
 
 cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept:
-    """Walk from exact correlations to alpha `goal`; WORN: as far as M went."""
+    """Follow the path from exact correlations to alpha `goal`; WORN: M became inaccurate."""
     cdef double alpha = h.alpha, fall = h.alpha - goal, remains = 1.0
     cdef double soonest, rate, near, sign, length
     cdef Py_ssize_t at
@@ -378,9 +378,9 @@ cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept:
 
 
 cdef double breach(Homotopy h, double alpha) noexcept:
-    """By how much the weights miss the optimum, in units of the margin: at most 1 is one.
+    """The violation of the optimality conditions over the margin: at an optimum it is at most 1.
 
-    Correlations become exact, weights below zero are cut.
+    Correlations are computed exactly; signed weights below zero are set to zero.
     """
     cdef double margin = OPTIMAL_WITHIN * alpha + ROUNDING, worst, lowest = 0.0
     correlate(h)
@@ -399,10 +399,9 @@ cdef double breach(Homotopy h, double alpha) noexcept:
 
 
 cdef int reach(Homotopy h, double goal, double[::1] out) noexcept:
-    """Walk to `goal`, where it is worn with another M, at last from the known weights.
+    """Follow the path to `goal`, where needed with M computed again or from the known weights.
 
-    out (k,) becomes the weights of the optimum, or of the attempt that came closest: FINE tells
-    the one, WORN the other.
+    out (k,): the weights of the optimum (FINE), or those of the smallest violation (WORN).
     """
     cdef Py_ssize_t limit = STEPS_PER_COLUMN * h.k + STEPS_AT_LEAST, starts = 0, attempt = 0
     cdef double least = INFINITY, here

@@ -1,10 +1,16 @@
-"""Exact paths on the columns in play, which go on from weights at some penalties.
+"""Kernels: solvers of a path on the columns of a working set, warm-started.
 
-A kernel solves at descending penalties on the sums of the columns in play, in units of the target.
-Where a column outside objects to a point, the path goes on from the penalty before, with that
-column beside the others and what was solved meanwhile as a start. ``homotopy``, ``variances`` and
-``sweeps`` are compiled; where they are not built, the generic Newton's method runs in their place,
-slower.
+A kernel has the problem on these columns, in units of the target (`Columns`), descending penalties,
+warm starts, and the relative duality gap to reach. By penalty:
+
+    homotopy         LASSO and elastic net, one target: piecewise linear path, from event to event
+    variational      group-LASSO: Newton's method on eta_g = |V_g|/alpha, few groups in use
+    block descent    group-LASSO where groups are many, sparse-group LASSO: blockwise, extrapolated
+    cluster descent  SLOPE, one target: sweeps over clusters of equal |v|, and their exact optimum
+    newton           any penalty with a prox: proximal points by semismooth Newton's method
+
+``newton`` also ends what the others leave above the gap. ``homotopy``, ``variances`` and ``sweeps``
+are compiled; where they are not built, ``newton`` runs in their place, slower.
 """
 
 from __future__ import annotations
@@ -21,11 +27,17 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms, in_order
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
-from sparsefit.solvers.newton import Columns, relative_gap, settled, towards_clusters_optimum
+from sparsefit.solvers.newton import (
+    Columns,
+    relative_gap,
+    solved_by_newton,
+    towards_clusters_optimum,
+)
 
+ROUGH = 1e-5  # relative gap that suffices to extend a working set
+ROUGH_CHANGE = 1e-4  # the same of descent: the change of Z V/sqrt(m) by a sweep
 STOP = 1e-11  # relative gap, far below any tolerance that a certificate is asked to meet
 DESCENDED = 1e-9  # that of descent, which converges linearly
-EXTRAPOLATED = 5  # sweeps that descent extrapolates from
 MOST = 300  # sweeps at one penalty, before the variances take over
 CLUSTERED, SWEEPS = 500, 30  # rounds for clusters at one penalty, and the most sweeps of one
 ALIKE = 20  # rounds, after which the optimum of each face is taken, as columns are too much alike
@@ -51,14 +63,14 @@ class Points:
         return cls(np.zeros(shape), np.ones(count, bool), np.zeros(count, np.intp), words)
 
 
-Attempts = dict[float, Array]
-"""V (j, q) by penalty: the last that was accepted, whose penalty is the largest, and later ones."""
-Kernel = Callable[[Columns, Array, Attempts, float], Points]
-"""A path at further penalties (p,), descending, from attempts, to a relative gap."""
+WarmStarts = dict[float, Array]
+"""V (j, q) by penalty: the last final solution, at the largest, and approximate later ones."""
+Kernel = Callable[[Columns, Array, WarmStarts, float], Points]
+"""(problem, penalties (p,), descending, warm starts, relative gap) -> solutions."""
 Improved = Callable[[float, Array], tuple[Array, float, int]]
-"""Weights (j, q) nearer to the optimum at a penalty than a start, their relative gap, and steps."""
+"""(penalty, start V (j, q)) -> weights nearer to the optimum, their relative gap, and steps."""
 BEGIN: float = np.inf
-"""The penalty of an attempt of zeros: the start of a path."""
+"""The penalty of the warm start V = 0, where a path begins."""
 
 
 def compiled(name: str) -> Any:
@@ -69,8 +81,8 @@ def compiled(name: str) -> Any:
         return None
 
 
-def homotopy(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
-    """The LASSO or elastic net of one target, from event to event; z_j/omega_j has omega_j v_j."""
+def homotopy(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -> Points:
+    """LASSO or elastic net of one target; its weights are taken into the columns, z_j/omega_j."""
     assert isinstance(on.penalty, AbsoluteValues)
     assert on.gram is not None
     least = float(on.penalty.weights.min())
@@ -81,9 +93,9 @@ def homotopy(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Poi
     unit, scale = height / least, height / omega
     ridge = on.penalty.ridge * unit / omega**2
     walk = compiled("homotopy").Homotopy(np.ascontiguousarray(gram), pull / height, ridge)
-    last = max(attempts)
+    last = max(warm_starts)
     if last < BEGIN:
-        walk.start(attempts[last][:, 0] / scale, last / unit)
+        walk.start(warm_starts[last][:, 0] / scale, last / unit)
     values, complete = np.zeros((len(alphas), len(omega))), np.zeros(len(alphas), bool)
     with np.errstate(all="ignore"):
         # Rounding must let no column in at alpha_max.
@@ -91,41 +103,41 @@ def homotopy(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Poi
     steps, values = np.zeros(len(alphas), np.intp), (values * scale)[:, :, None]
     steps[-1] = walk.steps
     for i in np.flatnonzero(~complete):  # on columns that nearly depend on each other
-        values[i], gap, _ = settled(on, float(alphas[i]), values[i], stop)
+        values[i], gap, _ = solved_by_newton(on, float(alphas[i]), values[i], stop)
         complete[i] = gap <= stop
     return Points(values, complete, steps)
 
 
 def _each(
-    on: Columns, alphas: Array, attempts: Attempts, stop: float, improved: Improved
+    on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float, improved: Improved
 ) -> Points:
-    """The points from the nearest attempts; Newton's method ends what ``improved`` leaves."""
-    attempts, points = dict(attempts), Points.zeros(len(alphas), on.cross)
+    """A path, each penalty from the nearest warm start; Newton's method ends where it must."""
+    warm_starts, points = dict(warm_starts), Points.zeros(len(alphas), on.cross)
     for i, alpha in enumerate(alphas.tolist()):
-        start = attempts[min(attempts, key=lambda each: abs(each - alpha))]
+        start = warm_starts[min(warm_starts, key=lambda each: abs(each - alpha))]
         values, gap, points.steps[i] = improved(alpha, start)
         if gap > stop:
-            values, gap, taken = settled(on, alpha, values, stop)
+            values, gap, taken = solved_by_newton(on, alpha, values, stop)
             points.steps[i] += taken
-        attempts[alpha] = points.weights[i] = values
+        warm_starts[alpha] = points.weights[i] = values
         points.complete[i] = gap <= stop
     return points
 
 
-def newton(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
-    """Any penalty, by proximal points."""
-    return _each(on, alphas, attempts, stop, lambda alpha, start: (start, np.inf, 0))
+def newton(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -> Points:
+    """Any penalty: see `sparsefit.solvers.newton`."""
+    return _each(on, alphas, warm_starts, stop, lambda alpha, start: (start, np.inf, 0))
 
 
-def variational(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
-    """Group norms over all targets at hand, by Newton's method on the groups' variances."""
+def variational(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -> Points:
+    """Group-LASSO, groups over all targets of the problem: see ``variances.pyx``."""
     assert on.gram is not None
     outer, starts, weights = _groups(on.penalty)
     scale = outer.weights[outer.groups, None]
     unit = np.any(outer.weights != 1.0)
     gram, pull = (on.gram / (scale * scale.T), on.cross / scale) if unit else (on.gram, on.cross)
-    alpha = min(attempts, key=lambda each: abs(each - alphas[0]))
-    norms = np.sqrt(np.add.reduceat(np.square(attempts[alpha]).sum(axis=1), starts[:-1]))
+    alpha = min(warm_starts, key=lambda each: abs(each - alphas[0]))
+    norms = np.sqrt(np.add.reduceat(np.square(warm_starts[alpha]).sum(axis=1), starts[:-1]))
     sources = compiled("variances")
     problem = sources.Groups(np.ascontiguousarray(gram), np.ascontiguousarray(pull.T), starts)
     search = sources.Search(problem, norms * weights / alpha, stop)  # |W_g| = eta_g alpha there
@@ -135,81 +147,75 @@ def variational(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> 
             values, gap, spent = search.minimised(alpha)
         return values.T / scale, gap, spent
 
-    return _each(on, alphas, attempts, stop, improved)
+    return _each(on, alphas, warm_starts, stop, improved)
 
 
 def _groups(penalty: Penalty) -> tuple[GroupNorms, IntArray, Array]:
-    """The norms of groups whose columns are neighbours, where each starts, and its weight."""
+    """The group norms, whose columns are adjacent; the groups' first columns, and their weights."""
     outer = penalty.outer if isinstance(penalty, NestedNorms) else penalty
     assert isinstance(outer, GroupNorms)
     starts = np.flatnonzero(np.diff(outer.groups, prepend=-1, append=-1))
     return outer, starts, outer.weights[outer.groups[starts[:-1]]]
 
 
-def block_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
-    """Norms of groups, and of coefficients within them, by block descent with extrapolation.
+def block_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -> Points:
+    """Group-LASSO and sparse-group LASSO by block coordinate descent with Anderson extrapolation.
 
-    The columns of a group are neighbours; without a norm within they are orthogonal. Sums have rows
-    of their own, G = R'R. Newton's method ends what takes too many sweeps, as columns are alike.
+    The columns of a group are adjacent, and those of the group-LASSO orthogonal within it, so that
+    a block has its exact optimum; the sparse-group LASSO takes a proximal-gradient step for each.
+    Where a problem has G alone, its rows are those of a Cholesky factor. Sweeps end at a change of
+    Z V/sqrt(m) of ``share`` times the gap, which follows the gaps that were reached.
     Source: Bertrand and Massias, "Anderson acceleration of coordinate descent" (AISTATS 2021).
     """
     penalty, inner = on.penalty, np.zeros(len(on.cross))
-    (_, starts, weights), (rows, target, samples) = _groups(penalty), on.roots()
+    (_, starts, weights), (rows, target, samples) = _groups(penalty), on.roots
     square, sizes = np.einsum("ij,ij->j", rows, rows) / samples, np.diff(starts)
     if isinstance(penalty, NestedNorms):
         inner = penalty.inner.weights
         parts = [rows[:, part] for part in starmap(slice, pairwise(starts))]
         steepest = [np.linalg.eigvalsh(part.T @ part)[-1] for part in parts]
         square = np.repeat(np.array(steepest) / samples, sizes)
-    trail = [np.empty((EXTRAPOLATED + 2, *part.shape)) for part in (on.cross.T, target)]
-    sweep, blocks = compiled("sweeps").descend_groups, np.repeat(np.arange(len(sizes)), sizes)
-    most = MOST
-
-    def height_of(values: Array, residual: Array, alpha: float) -> float:
-        square = float(np.vdot(residual, residual)) / samples
-        return 0.5 * square + alpha * float(penalty.value(values.T))
+    sweeps, most, share = compiled("sweeps"), MOST, 1.0
 
     def improved(alpha: float, start: Array) -> tuple[Array, float, int]:
-        nonlocal most
-        values, residual, steps = start.T, target - start.T @ rows.T, 0
+        nonlocal most, share
+        if not start.any() and relative_gap(on, alpha, start, on.cross) <= stop:
+            return start, 0.0, 0  # rounding must let no group in at alpha_max
+        state, steps = np.ascontiguousarray(np.hstack([start.T, target - start.T @ rows.T])), 0
         limits = alpha * weights, alpha * inner
+        blocks = sweeps.Blocks(rows, starts, *limits, square, samples, state)
+        values, residual = state[:, : len(inner)].T, state[:, len(inner) :]
         while True:
+            change = ROUGH_CHANGE if stop == ROUGH else share * stop
+            steps += blocks.descend(change**2, most - steps)
+            if stop == ROUGH:
+                return values, 0.0, steps
             pull = (residual @ rows).T / samples
             if on.gram is not None:  # of which R may have lost digits
-                pull = on.cross - on.times(values.T)
-            gap = relative_gap(on, alpha, values.T, pull)
+                pull = on.cross - on.times(values)
+            gap = relative_gap(on, alpha, values, pull)
+            share *= min(0.5 * stop / max(gap, 1e-300), 2.0)
             if gap <= stop or steps >= most:
                 most = MOST if gap <= stop else 0
-                return values.T, gap, steps
-            steps += 1 + EXTRAPOLATED
-            trail[0][0], trail[1][0] = values, residual
-            used = (values.T != 0.0) | (penalty.prox(values.T + pull, alpha) != 0.0)
-            used = np.unique(blocks[used.any(axis=1)])
-            sweep(rows, starts, used, *limits, square, samples, *trail)
-            moves = np.diff(trail[0][1:], axis=0).reshape(EXTRAPOLATED, -1)
-            products = moves @ moves.T
-            products.flat[:: EXTRAPOLATED + 1] += 1e-12 * np.trace(products) + 1e-300
-            share = np.linalg.solve(products, np.ones(EXTRAPOLATED))
-            values, residual = (np.tensordot(share / share.sum(), part[2:], 1) for part in trail)
-            if height_of(values, residual, alpha) > height_of(trail[0][-1], trail[1][-1], alpha):
-                values, residual = (part[-1].copy() for part in trail)
+                return values, gap, steps
 
-    return _each(on, alphas, attempts, stop, improved)
+    return _each(on, alphas, warm_starts, stop, improved)
 
 
-def cluster_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float) -> Points:
-    """SLOPE of one target: proximal gradients split clusters of equal |v|, and sweeps move them.
+def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -> Points:
+    """SLOPE of one target: proximal-gradient steps split clusters of equal |v|, sweeps move them.
 
-    Where a round of sweeps leaves the clusters as they were, their optimum is taken at once.
+    Where sweeps leave the clusters as they are, the optimum for these is found by a linear system.
     Source: Larsson, Klopfenstein, Massias and Wallin, "Coordinate descent for SLOPE" (2023).
     """
     assert isinstance(on.penalty, SortedNorm)
-    assert on.gram is not None
-    gram, x = np.ascontiguousarray(on.gram), np.cos(np.arange(len(on.gram)))
-    for _ in range(POWERS):  # of an x that is not orthogonal to what opposite columns share
-        x = gram @ (x / np.linalg.norm(x))
+    gram, rows = None if on.gram is None else np.ascontiguousarray(on.gram), on.rows
+    x = np.cos(np.arange(len(on.cross)))[:, None]
+    for _ in range(POWERS):  # the largest eigenvalue of G; opposite columns have no constant one
+        x = on.times(x / np.linalg.norm(x))
     step, sweep = 1.0 / (1.05 * float(np.linalg.norm(x))), compiled("sweeps").descend_clusters
     penalty, sums = on.penalty, np.concatenate([[0.0], np.cumsum(on.penalty.weights)])
+    columns = None if gram is not None else (rows.data, rows.indices, rows.indptr, on.samples)
 
     def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
         gap, rounds = np.inf, 0
@@ -219,14 +225,16 @@ def cluster_descent(on: Columns, alphas: Array, attempts: Attempts, stop: float)
             if gap <= stop:
                 break
             values = penalty.prox(values + step * pull, step * alpha)
-            pull = on.cross - on.times(values)
-            going = sweep(gram, alpha * sums, pull[:, 0], values[:, 0], SWEEPS) or rounds >= ALIKE
+            state = on.cross - on.times(values) if columns is None else on.target - rows @ values
+            price = alpha * sums
+            going = sweep(gram, columns, price, state[:, 0], values[:, 0], SWEEPS)
+            going = going or rounds >= ALIKE
             while going:
                 values, met = towards_clusters_optimum(on, alpha, values)
                 going = met and rounds >= ALIKE
         return values, gap, rounds
 
-    return _each(on, alphas, attempts, stop, improved)
+    return _each(on, alphas, warm_starts, stop, improved)
 
 
 KERNELS: dict[str, Kernel] = {
@@ -239,7 +247,7 @@ KERNELS: dict[str, Kernel] = {
 
 
 def kernel_for(penalty: Penalty, targets: int) -> str:
-    """The fastest kernel for a penalty on so many targets, whose groups in use are few."""
+    """The kernel for a penalty on so many targets, where few groups are in use."""
     if type(penalty) is AbsoluteValues and targets == 1 and compiled("homotopy"):
         return "homotopy"
     if not penalty.ridge and isinstance(penalty, GroupNorms) and compiled("variances"):
@@ -254,7 +262,7 @@ def kernel_for(penalty: Penalty, targets: int) -> str:
 def path_on_gram(
     gram: Array, cross: Array, penalty: Penalty, alphas: Array, square: float
 ) -> Points:
-    """The path of targets that are solved together, on all columns: G (k, k), B (k, q), |Y|^2/m."""
+    """The path on all columns of targets solved together: G (k, k), B (k, q), |Y|^2/m."""
     level, name = float(np.sqrt(square)), kernel_for(penalty, cross.shape[1])
     order = in_order(penalty.blocks, 0)[0]
     if order is not None and (ordered := penalty.restricted(order)) is not None:

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.cached import cached_property
 from sparsefit.regression.certificate import SHARES
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import Penalty
@@ -33,39 +34,43 @@ from sparsefit.regression.penalties import Penalty
 OUTER, INNER, HALVINGS = 60, 50, 25
 FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit rms
 PATIENCE = 6  # proximal points without a smaller gap
+EXACT, GRADIENTS = 1e-13, 500  # relative residual of clusters' levels, and the most steps to it
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns in play in units of the target, |Y|^2/m = 1: their sums, and the penalty on them.
+    """The problem on the columns J of a working set, for a target of unit rms, |Y|^2/m = 1.
 
-    cross B (j, q); G as a matrix (j, j), or by the rows Z_J (m, j) where it is None; target Y
-    (m, q): for what works on the residual.
+    penalty: on these columns; cross B = Z_J'Y/m (j, q); gram G = Z_J'Z_J/m (j, j), or None, where
+    the rows Z_J (m, j) are used, dense or scipy's CSC; target Y (m, q), for descent on residuals.
     """
 
     penalty: Penalty
     cross: Array
     samples: int
     gram: Array | None
-    rows: Array | None = None
+    rows: Any = None
     target: Array | None = None
 
     def times(self, values: Array) -> Array:
-        """G V (j, q) of V (j, q); rows of zeros are not multiplied where they are many."""
+        """G V (j, q) of V (j, q), which may have many rows of zeros."""
         on = np.flatnonzero(values.any(axis=1))
         if self.gram is not None:
             few = 4 * len(on) < len(values)
             out: Array = self.gram[:, on] @ values[on] if few else self.gram @ values
             return out
         assert self.rows is not None
+        if not isinstance(self.rows, np.ndarray):
+            return np.asarray(self.rows.T @ (self.rows @ values)) / self.samples
         pulled: Array = ((self.rows[:, on] @ values[on]).T @ self.rows).T / self.samples
         return pulled
 
+    @cached_property
     def roots(self) -> tuple[Array, Array, float]:
-        """Rows R (r, j) and targets T (q, r) with R'R = r G and R'T' = r B, and the number r.
+        """Rows R (r, j), targets T (q, r) and their number c: R'R = c G and R'T' = c B.
 
-        They are those that there are, or triangular, where G is a matrix: Cholesky's factor.
+        Z_J and the target or, of G alone, its pivoted Cholesky factor, with c = 1.
         """
         if self.gram is None:
             assert self.rows is not None
@@ -75,15 +80,16 @@ class Columns:
 
         root, pivots, rank, _ = dpstrf(self.gram.T)
         rows, order = np.zeros((rank, len(root)), order="F"), pivots - 1
-        rows[:, order] = np.triu(root[:rank])
+        root[np.tril_indices(rank, -1)] = 0.0
+        rows[:, order] = root[:rank]
         target, _ = dtrtrs(root[:rank, :rank], self.cross[order[:rank]], trans=1)
         return rows, np.ascontiguousarray(target.T), 1.0
 
     def solved(self, on: IntArray, factor: Any, pull: Array, step: float, targets: int) -> Array:
         """s N (I + s N'G N)^-1 N' pull (c,) on the coefficients ``on`` (c,), flat in (j, q)."""
         right = pull if factor is None else factor.T @ pull
-        if targets == 1 and self.rows is not None and len(right) > len(self.rows):
-            tall = self.rows[:, on] * np.sqrt(step / self.samples)
+        if targets == 1 and self.rows is not None and len(right) > self.rows.shape[0]:
+            tall = self._dense(on) * np.sqrt(step / self.samples)
             tall = tall if factor is None else (factor.T @ tall.T).T
             outer = tall @ tall.T
             outer.flat[:: len(outer) + 1] += 1.0
@@ -95,14 +101,18 @@ class Columns:
         lifted: Array = step * (y if factor is None else factor @ y)
         return lifted
 
+    def _dense(self, columns: IntArray) -> Array:
+        assert self.rows is not None
+        part = self.rows[:, columns]
+        return part if isinstance(part, np.ndarray) else np.asarray(part.toarray())
+
     def within(self, on: IntArray, factor: Any, targets: int) -> Array:
         """N'G N on the coefficients ``on`` (c,), flat in (j, q), of N (c, d), None for identity."""
         column, target = np.divmod(on, targets)
         if self.gram is not None:
             square = self.gram.take(column, 0).take(column, 1)
         else:
-            assert self.rows is not None
-            part = self.rows[:, column]
+            part = self._dense(column)
             square = part.T @ part / self.samples
         if targets > 1:
             square = np.where(target[:, None] == target, square, 0.0)
@@ -110,7 +120,7 @@ class Columns:
 
 
 def definite(matrix: Array, right: Array) -> Array | None:
-    """The solution of a positive definite system; None where rounding made it none."""
+    """The solution of a symmetric positive definite system; None where Cholesky's method fails."""
     from scipy.linalg.lapack import dposv
 
     _, solution, failed = dposv(matrix.T, right, lower=1)
@@ -118,17 +128,19 @@ def definite(matrix: Array, right: Array) -> Array | None:
 
 
 def _nearest(matrix: Array, right: Array) -> Array:
-    """The solution of a positive definite system, least squares where rounding made it none."""
+    """The solution of a positive definite system, or of least squares where Cholesky fails."""
     solution = definite(matrix, right)
     if solution is None:
         solution = np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-14)[0])
     return solution
 
 
-def settled(on: Columns, alpha: float, values: Array, goal: float) -> tuple[Array, float, int]:
+def solved_by_newton(
+    on: Columns, alpha: float, values: Array, goal: float
+) -> tuple[Array, float, int]:
     """The optimum (j, q) at one penalty from any values, its relative gap, and Newton's steps.
 
-    A gap above ``goal`` tells that proximal points no longer lower it.
+    The gap is above ``goal`` where further proximal points do not reduce it.
     """
     best, least, waited, steps, step = values, np.inf, 0, 0, FIRST
     for _ in range(OUTER):
@@ -147,7 +159,7 @@ def settled(on: Columns, alpha: float, values: Array, goal: float) -> tuple[Arra
 
 
 def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -> float:
-    """(primal - dual) / (|Y|^2 / 2m) as the certificate has it, at V and its C."""
+    """(primal - dual) / (|Y|^2/2m), by the dual point of the certificate, of V and C = B - G V."""
     penalty = on.penalty
     product, ridge = 1.0 - float(np.vdot(values, on.cross)), alpha * penalty.ridge
     square = max(product - float(np.vdot(values, correlation)), 0.0)
@@ -168,7 +180,10 @@ def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -
 
 
 def dual_share(product: float, square: float, peak: float, alpha: float) -> float:
-    """The s of the best dual point s R/m, of <R, Y>/m, |R|^2/m and the dual norm of Z'R/m."""
+    """The s of the best feasible dual point s R/m.
+
+    product <R, Y>/m, square |R|^2/m, and peak, the dual norm of Z'R/m.
+    """
     limit = alpha / peak if peak > 0 else np.inf
     return min(max(product / square if square > 0 else 0.0, -limit), limit)
 
@@ -176,7 +191,7 @@ def dual_share(product: float, square: float, peak: float, alpha: float) -> floa
 def _proximal_point(
     on: Columns, alpha: float, start: Array, correlation: Array, step: float, enough: float
 ) -> tuple[Array, int]:
-    """P for V and its C, until F'G F <= enough, and the Newton steps that it took."""
+    """The proximal point P of V = ``start``, until F'G F <= enough, and the Newton steps."""
     from scipy.sparse import eye_array  # who reads an estimator need not wait for it
 
     penalty = on.penalty
@@ -228,20 +243,26 @@ def _proximal_point(
 
 
 def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[Array, bool]:
-    """From V (j, 1) towards the optimum for its signs and clusters, until two meet; whether so."""
-    assert on.gram is not None
+    """From V (j, 1) towards the optimum for its signs and clusters, until two clusters meet.
+
+    With the columns summed over each cluster, Z_C (m, d), their levels x at the optimum solve
+    Z_C'Z_C/m x = Z_C'Y/m - alpha lambda_C. Returns V, and whether two clusters met.
+    """
     assert isinstance(on.penalty, SortedNorm)
     size = np.abs(values[:, 0])
     order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]
     if not len(order):
         return values, False
     sign, first = np.sign(values[order, 0]), np.flatnonzero(np.diff(size[order], prepend=-1.0))
-    square = on.gram.take(order, 0).take(order, 1) * np.multiply.outer(sign, sign)
-    square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
-    counts = np.diff(first, append=len(order))
-    square.flat[:: len(square) + 1] += SHIFT * counts
-    price = alpha * on.penalty.weights[: len(order)]
-    levels = definite(square, np.add.reduceat(sign * on.cross[order, 0] - price, first))
+    counts, price = np.diff(first, append=len(order)), alpha * on.penalty.weights[: len(order)]
+    right, levels = np.add.reduceat(sign * on.cross[order, 0] - price, first), None
+    if on.gram is not None:
+        square = on.gram.take(order, 0).take(order, 1) * np.multiply.outer(sign, sign)
+        square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
+        square.flat[:: len(square) + 1] += SHIFT * counts
+        levels = definite(square, right)
+    else:
+        levels = _sparse_levels(on, order, sign, first, right, SHIFT * counts, size[order[first]])
     if levels is None:
         return values, False
     # Of each cluster above the next smaller one, from the smallest.
@@ -253,3 +274,23 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     out = np.zeros_like(values)
     out[order, 0] = sign * np.repeat(np.cumsum(rise)[::-1], counts)
     return out, share < 1.0
+
+
+def _sparse_levels(
+    on: Columns, order: IntArray, sign: Array, first: IntArray, right: Array, shift: Array, x: Array
+) -> Array | None:
+    """The levels (d,) of clusters of sparse columns by conjugate gradients from x (d,)."""
+    from scipy.sparse import csc_array
+    from scipy.sparse.linalg import LinearOperator, cg
+
+    ends = np.append(first, len(order))
+    sums = on.rows[:, order] @ csc_array((sign, np.arange(len(order)), ends))
+    across = sums.T.tocsr()
+
+    def times(x: Array) -> Array:
+        product: Array = across @ (sums @ x) / on.samples + shift * x
+        return product
+
+    operator = LinearOperator((len(right), len(right)), matvec=times, dtype=np.float64)
+    levels, failed = cg(operator, right, x, rtol=EXACT, maxiter=GRADIENTS)
+    return None if failed else levels

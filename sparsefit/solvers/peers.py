@@ -1,4 +1,4 @@
-"""Public solvers, a function each, and a problem in the form that they take it in.
+"""Public solvers, a function each, and the problem in their common form.
 
 With omega_j the weight of column j's block, u_j = omega_j v_j and targets divided by the largest
 alpha, a penalty of weighted norms is one with weights of one,
@@ -7,8 +7,8 @@ alpha, a penalty of weighted norms is one with weights of one,
 
 X = Z diag(1/omega), f = alpha / alpha_1. Targets that share the norms of their groups are one long
 target with a block-diagonal design. Where samples are many the rows are the triangle of a QR of
-[X, y], or X'X/m is formed: that is in the time of the solver that asks. Each stops at a tolerance
-of its own meaning, and the caller's certificate judges them all.
+[X, y], or X'X/m is formed, in the time of the solver that uses it. Tolerances have the meaning of
+each solver; weights are compared by the caller's certificate.
 """
 
 import math
@@ -34,13 +34,13 @@ from sparsefit.regression.penalties import AbsoluteValues, Penalty
 Kind: TypeAlias = Literal[
     "LASSO", "elastic net", "group-LASSO", "joint group-LASSO", "sparse-group LASSO", "SLOPE", ""
 ]
-"""The families of penalties that public solvers know; empty for any other."""
+"""The kinds of penalties that public solvers solve; empty for any other."""
 SINGLE: tuple[Kind, ...] = ("LASSO", "elastic net")
 GROUPED: tuple[Kind, ...] = ("group-LASSO", "joint group-LASSO")
 
 
 def kind_of(penalty: Penalty) -> Kind:
-    """The family that a penalty belongs to."""
+    """The kind of a penalty."""
     if penalty.loss != SQUARES or (penalty.ridge and type(penalty) is not AbsoluteValues):
         return ""
     if isinstance(penalty, NestedNorms):
@@ -72,8 +72,7 @@ class Task:
     """Targets (m, n) and the design X (m, k), dense in Fortran order or CSC, at fractions f (p,).
 
     lambdas (k,): weights of single coefficients of the sparse-group LASSO, or the sequence of
-    SLOPE. ridge: rho. Targets that are solved apart share X'X and a QR, each formed, and charged,
-    once.
+    SLOPE. ridge: rho. Targets solved separately share X'X and the QR, computed and charged once.
     """
 
     design: Any
@@ -97,18 +96,18 @@ class Task:
 
     @cached_property
     def gram(self) -> Array:
-        """X'X/m (k, k), dense; some solvers work in place, on a copy of it."""
+        """X'X/m (k, k), dense."""
         gram = self.design.T @ self.design / self.samples
         return gram if isinstance(gram, np.ndarray) else gram.toarray()
 
     @cached_property
     def triangle(self) -> tuple[Array, Array]:
-        """X and the targets as the rows of a QR of both, which keeps every inner product."""
+        """X and the targets as the rows of a QR of both, with the same inner products."""
         rows: Any = np.linalg.qr(np.hstack([self.design, self.target]), mode="r")
         return rows[:, : self.design.shape[1]], rows[:, self.design.shape[1] :]
 
     def cross(self, targets: slice) -> Array:
-        """X'y/m (k,) of the first of some targets."""
+        """X'y/m (k,) of the first target of the slice."""
         cross: Array = self.design.T @ self.target[:, targets.start or 0] / self.samples
         return cross
 
@@ -335,7 +334,7 @@ def by_skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
 
 @dataclass(frozen=True)
 class Peer:
-    """A public solver, as `PEERS` lists it; its one setting is ``iterations``.
+    """A public solver, a row of `PEERS`; its setting is ``iterations``.
 
     solved: (task, targets, stop, iterations) -> coefficients u (p, k b) of b targets, target by
     target; package: the module it needs, and extra, what pip installs for it; kinds: the penalties
@@ -357,7 +356,7 @@ class Peer:
         integer(f"{self.name}: iterations", self.iterations, 1)
 
     def takes(self, penalty: Penalty) -> str:
-        """The reason why it does not solve this penalty; empty where it does."""
+        """The reason for refusing a penalty; empty where it is solved."""
         is_known = kind_of(penalty) in self.kinds
         return "" if is_known else f"{self.name} solves {', '.join(self.kinds)} only"
 

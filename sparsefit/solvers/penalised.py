@@ -90,7 +90,7 @@ class PenalisedPath(Checked, ABC):
         alphas, data = problem.alpha_max(penalty) * np.array(alpha_fractions), problem.statistics
         path = exact_path(problem.design, problem.target, penalty, alphas, statistics=data)
         weights = path.weights / problem.design.rms[:, None]
-        # A stop that rounding keeps it from is left for the certificate to judge.
+        # The certificate judges points where rounding prevents the solver's own stop.
         words = "the path is incomplete at this penalty"
         return tuple(
             Solution(values, "ok", "", path.words, int(count))
@@ -196,7 +196,8 @@ class SquareRootLasso(PenalisedPath):
 class HuberLasso(PenalisedPath):
     """Huber's loss of Y - ZV plus alpha sum |V_jt|: outliers beyond clip * s_t count linearly.
 
-    clip: in units of s_t = 1.48 median |Y_t| of each target. BIC, of squares, does not apply.
+    clip: in units of s_t = 1.48 median |Y_t| of each target (less its median beside an intercept,
+    which minimises the loss with the weights). BIC, of squares, does not apply.
     """
 
     name: ClassVar[str] = "huber-lasso"
@@ -205,7 +206,8 @@ class HuberLasso(PenalisedPath):
     clip: float = setting(1.0, low=0.0, open_low=True)
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        return replace(lasso_penalty(problem.columns), loss=Squares(clip=self.clip))
+        loss = Squares(self.clip, problem.design.weights, problem.design.direction)
+        return replace(lasso_penalty(problem.columns), loss=loss)
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,14 @@
-"""Solvers by name: those that ship, those of other packages, of a file, and commands.
+"""Solvers by name: of this package, of other packages, of a Python file, and commands.
 
 A solver is a frozen dataclass, whose fields are its settings, with a method
 
     path(design, target, penalty, alphas, tolerance) -> weights (p, k, n)
 
 for 1/(2m) |Y - Z V|^2 + alpha Omega(V) at descending alphas (p,), in columns Z of unit rms, and
-optionally ``takes(penalty)``, the reason why it does not take a penalty, empty where it does. Its
-class may have ``package``, what must be importable, ``extra``, what pip installs for it, and
-``stops``, False where there is no tolerance to set. Other packages name theirs in the entry-point
-group ``sparsefit.solvers``; a file is imported and its classes of that kind are solvers; a command
-is a `Command`.
+optionally ``takes(penalty)``, the reason for refusing a penalty, empty where it is accepted. Its
+class may have ``package``, the module that must be importable, ``extra``, the name for pip, and
+``stops``, False for a solver without a tolerance. Other packages declare theirs in the entry-point
+group ``sparsefit.solvers``; classes of that kind in a file are solvers; a command is a `Command`.
 """
 
 import importlib.util
@@ -59,7 +58,7 @@ SHIPPED: Mapping[str, Any] = {**BEHIND_CVXPY, Clarabel.name: Clarabel, **PEERS}
 
 
 class LateError(SparsefitError):
-    """A command was ended at one of its limits; the message goes on from `the solve`."""
+    """A command exceeded a time limit and was ended; the message continues `the solve`."""
 
 
 def _plugins() -> "Mapping[str, EntryPoint]":
@@ -67,7 +66,7 @@ def _plugins() -> "Mapping[str, EntryPoint]":
 
 
 def solver_names() -> tuple[str, ...]:
-    """Names of the solvers that ship, installed or not, then those of other packages."""
+    """Names of the solvers of this package, installed or not, then of other packages."""
     return (*SHIPPED, *sorted(_plugins()))
 
 
@@ -82,10 +81,10 @@ def solver(name: str, **settings: Any) -> Any:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A solver in plain values: its name, settings, and the file or command that it comes from.
+    """A solver in plain values: name, settings and origin.
 
-    file: path of a Python file with its class; command: a program and its arguments, a `Command`
-    with its limits [s] of a solve and of what is beside it.
+    file: path of the Python file with its class. command: a program and its arguments, run as a
+    `Command`. limit: seconds of a solve; start: seconds of starting, reading and writing.
     """
 
     name: str
@@ -97,7 +96,7 @@ class Recipe:
 
     @property
     def owner(self) -> Any:
-        """The class of the solver, or a row of a table. Raises InputError where there is none."""
+        """The class of the solver, or its row of `SHIPPED`. Raises InputError without one."""
         if self.command:
             return Command
         if self.file:
@@ -127,7 +126,7 @@ class Recipe:
 
     @property
     def missing(self) -> str:
-        """The remedy where the package that the solver needs is absent; empty where it is there."""
+        """The message where a required package is not installed; empty where it is."""
         try:
             self.make()
         except MissingExtra as error:
@@ -141,7 +140,7 @@ class Recipe:
 
     @property
     def package(self) -> str:
-        """The package that must be importable; empty of a command, and where none is needed."""
+        """The package that must be importable; empty where none is needed."""
         return str(getattr(self.owner, "package", ""))
 
 
@@ -154,8 +153,8 @@ def answers(
 ) -> tuple[Solution, ...]:
     """Solutions at descending penalty fractions, in the units of the problem's columns.
 
-    Exceptions and warnings are told as by `heard`. A `Command` keeps its own clock, which each of
-    them has, and its own limits: raises `LateError` where it was ended at one.
+    Exceptions and warnings become statuses as in `heard`. Of a `Command` each solution has the time
+    that it measured. Raises `LateError` where a command exceeded its limit.
     """
     fractions, count = np.array(alpha_fractions, dtype=float), len(alpha_fractions)
     design, shape = problem.design, (problem.columns, problem.targets)
@@ -232,7 +231,7 @@ class Command:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """The name in tables."""
         return self.recipe.name
 
     @property
@@ -240,19 +239,19 @@ class Command:
         return Path(self.recipe.file).parent
 
     def takes(self, penalty: Penalty) -> str:
-        """The families of penalties that a problem.json can name."""
-        return "" if kind_of(penalty) else f"{self.name}: a command is handed no such penalty"
+        """The reason for refusing a penalty: problem.json has no name for its kind."""
+        return "" if kind_of(penalty) else f"{self.name}: problem.json has no such penalty"
 
     def path(self, *problem: Any) -> Array:
-        """The weights of `timed`, whose arguments these are."""
+        """The weights of `timed`, with the same arguments."""
         return self.timed(*problem)[0]
 
     def timed(
         self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> tuple[Array, tuple[float, float]]:
-        """Weights (p, k, n) of the program, and the wall and CPU time [s] that it took.
+        """Weights (p, k, n) of the program, and its wall and CPU time [s].
 
-        Raises InputError as it fails, `LateError` where it was ended at a limit.
+        Raises SparsefitError where it fails, `LateError` where it exceeds a limit.
         """
         if reason := self.takes(penalty):
             raise InputError(reason)
@@ -287,7 +286,7 @@ class Command:
         return weights, (spent[0], spent[1])
 
     def _run(self, folder: Path, remaining: dict[str, float]) -> tuple[float, float]:
-        """Seconds of wall and CPU [s] between the two lines of the program, within its limits."""
+        """Wall and CPU time [s] between the two lines that the program prints."""
         program, *rest = self.recipe.command
         first = str((self._folder / program).absolute()) if "/" in program else program
         remaining["start"], errors = self.recipe.start, (folder / "errors").open("w+b")
@@ -319,7 +318,7 @@ class Command:
         return wall, cpu
 
     def _line(self, run: Any, part: str, remaining: dict[str, float]) -> bytes:
-        """The next line that a program prints, empty at its end; its seconds count as `part`'s."""
+        """The next line of the program, empty at its end; its time counts towards ``part``."""
         began = perf_counter()
         if not select.select([run.stdout], [], [], max(min(remaining[part], FOREVER), 0.0))[0]:
             raise self._late(part)
@@ -334,7 +333,7 @@ class Command:
 
 
 def _cpu_seconds(pid: int) -> float:
-    """CPU seconds that a process has used, by /proc; NaN where there is none."""
+    """The CPU time [s] of a process from /proc; NaN on systems without it."""
     try:
         words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
     except OSError:

@@ -26,7 +26,7 @@ from sparsefit.regression.problem import RegressionProblem
 
 
 def explained(problem: RegressionProblem, weights: Array | None = None) -> Array:
-    """|P_g R|^2 / m (g,): what each group alone explains of R = Y - theta W (W = 0 without).
+    """|P_g R|^2 / m (g,): the mean square of R = Y - theta W that each group alone explains.
 
     From Z'Z/m and Z'R/m, groups of one size in one batch; from the rows where Z'Z has lost a
     group's rank.
@@ -116,7 +116,7 @@ class BestScale(SupportSearch):
 
 @dataclass(frozen=True)
 class GroupOMP(SupportSearch):
-    """Greedy groups until one more is not worth it.
+    """Greedy selection of groups until another one does not pay.
 
     stop: ``decrease``: a group must lower the residual sum of squares by ``tolerance`` * |Y|^2;
     ``bic``: it must lower m n ln(RSS) + parameters ln(m n). ``scales``: stop at so many groups at

@@ -1,10 +1,10 @@
-"""Cyclic descent over sparse columns, groups of dense ones, or clusters of equal weights, compiled.
+"""Cyclic coordinate descent on sparse columns, on blocks, or on clusters of equal weights.
 
     v_j <- soft(v_j + z_j'R/m, w_j) / (1 + mu),   R <- R - z_j (change of v_j)
 
 is the optimum of column j alone, z_j'z_j = m, with the limit w_j of its penalty and the ridge mu.
-Where the part along e, |e| = 1, is taken off the columns, z_j = s_j (theta_j - mean_j e), the rows
-stay sparse: R = S - c e, of which S and the number c change.
+Where columns are projected orthogonally to e, |e| = 1, z_j = s_j (theta_j - mean_j e), they stay
+sparse: R = S - c e, and S and the number c are updated.
 
 Sources: Friedman, Hastie and Tibshirani, J. Stat. Softw. 33 (2010) 1-22; Larsson, Klopfenstein,
 Massias and Wallin, "Coordinate descent for SLOPE" (AISTATS 2023), for clusters.
@@ -13,13 +13,15 @@ Massias and Wallin, "Coordinate descent for SLOPE" (AISTATS 2023), for clusters.
 import numpy as np
 
 from libc.math cimport fabs, sqrt
-from scipy.linalg.cython_blas cimport daxpy, dgemv
+from scipy.linalg.cython_blas cimport daxpy, ddot, dgemv
+from scipy.linalg.cython_lapack cimport dposv
 
 cdef enum:
     NEWTON = 30  # the most steps to the norm of a group
+    HISTORY = 5  # the moves that are extrapolated from
 
 cdef double EXACT = 1e-14  # relative change of that norm that ends them
-cdef double SETTLED = 0.03  # of the largest move of clusters: what further sweeps gain little on
+cdef double SETTLED = 0.03  # of the largest move of clusters, at which sweeps over them end
 
 
 def descend(
@@ -70,75 +72,171 @@ def descend(
     return count, shift
 
 
-def descend_groups(
-    const double[::1, :] z,
-    const Py_ssize_t[::1] starts,
-    const Py_ssize_t[::1] groups,
-    const double[::1] limits,
-    const double[::1] inner,
-    const double[::1] square,
-    double samples,
-    double[:, :, ::1] values,
-    double[:, :, ::1] residuals,
-):
-    """Sweep over some groups: group g has the columns starts[g] to starts[g + 1] of z (m, j).
+cdef class Blocks:
+    """Groups of columns of z (m, j), group g from starts[g] to starts[g + 1], and an iterate.
 
-    The columns of a group are orthogonal, with square (j,) z_i'z_i/m, or square is a bound of the
-    group's largest eigenvalue: the step is a proximal one then. limits: alpha w (g,); inner (j,):
-    those of the absolute values within, by which pull is first brought nearer to zero. Each
-    sweep makes the next of values (s, q, j) and residuals (s, q, m) of those before, the first of
-    which are given. With a_i = sum_t pull_ti^2, the norm n of a group's optimum,
-    v_i = n pull_i / (d_i n + limit), is the root of 1/sqrt(sum_i a_i / (d_i n + limit)^2) = 1,
-    which is concave in n: Newton's method climbs to it.
+    square (j,): z_i'z_i/m of columns that are orthogonal within their group, or the group's largest
+    eigenvalue, which makes the update a proximal-gradient step. limits (g,) and inner (j,): alpha
+    times the weights of the norms and of the absolute values within. state (q, j + m): the
+    coefficients of each target and its residual; trail: the states after the last sweeps.
     """
-    cdef double[:, ::1] pull = np.empty((values.shape[1], np.diff(starts).max()))
-    cdef double[:, ::1] value, residual
-    cdef int m = z.shape[0], size, one = 1
-    cdef Py_ssize_t j, g
-    cdef double total, slope, norm, rise, share, limit, move
-    cdef double per = 1.0 / samples, unit = 1.0, zero = 0.0
-    cdef double *block
-    for sweep in range(1, values.shape[0]):
-        value, residual = values[sweep], residuals[sweep]
-        value[:], residual[:] = values[sweep - 1], residuals[sweep - 1]
-        for place in range(groups.shape[0]):
-            g = groups[place]
-            j, size, limit = starts[g], starts[g + 1] - starts[g], limits[g]
-            total, norm, block = 0.0, 0.0, <double *>&z[0, j]
-            for t in range(value.shape[0]):
-                dgemv(
-                    "T", &m, &size, &per, block, &m, &residual[t, 0], &one, &zero, &pull[t, 0], &one
-                )
-                for i in range(size):
-                    pull[t, i] += square[j + i] * value[t, j + i]
-                    if inner[j + i] > 0.0:
-                        share = max(fabs(pull[t, i]) - inner[j + i], 0.0)
-                        pull[t, i] = share if pull[t, i] > 0.0 else -share
-                    total += pull[t, i] * pull[t, i]
-            for _ in range(NEWTON if total > limit * limit else 0):
-                total = slope = 0.0
-                for t in range(value.shape[0]):
-                    for i in range(size):
-                        share = 1.0 / (square[j + i] * norm + limit)
-                        rise = pull[t, i] * pull[t, i] * share * share
-                        total += rise
-                        slope += rise * share * square[j + i]
-                rise = total * (sqrt(total) - 1.0) / slope if slope > 0.0 else 0.0
-                norm += max(rise, 0.0)
-                if not rise > EXACT * norm:
-                    break
-            for t in range(value.shape[0]):
-                move = 0.0
-                for i in range(size):
-                    share = norm / (square[j + i] * norm + limit) if norm > 0.0 else 0.0
-                    pull[t, i] = value[t, j + i] - share * pull[t, i]
-                    value[t, j + i] -= pull[t, i]
-                    move += fabs(pull[t, i])
-                if move != 0.0:
-                    dgemv(
-                        "N", &m, &size, &unit, block, &m, &pull[t, 0], &one, &unit,
-                        &residual[t, 0], &one,
-                    )
+
+    cdef const double[::1, :] z
+    cdef const Py_ssize_t[::1] starts
+    cdef const double[::1] limits, inner, square
+    cdef double[:, ::1] state, pull
+    cdef double[:, :, ::1] trail
+    cdef double per
+
+    def __init__(self, z, starts, limits, inner, square, samples, state):
+        self.z, self.starts, self.limits, self.inner = z, starts, limits, inner
+        self.square, self.per, self.state = square, 1.0 / samples, state
+        self.pull = np.empty((len(state), np.diff(starts).max()))
+        self.trail = np.empty((HISTORY + 2, *state.shape))
+
+    def descend(self, double stop, Py_ssize_t most):
+        """Sweep until one over all groups changes Z V/sqrt(m) by ``stop``, squared; the sweeps.
+
+        Between two of them sweeps go over the groups in use, and extrapolate.
+        """
+        cdef Py_ssize_t sweeps = 0, step, count, groups = len(self.starts) - 1
+        cdef Py_ssize_t[::1] used = np.empty(groups, np.intp)
+        cdef double change
+        while sweeps < most:
+            change, count, step = 0.0, 0, 0
+            for g in range(groups):
+                used[count] = g
+                change += updated(self, g)
+                count += in_use(self, g)
+            sweeps += 1
+            if change <= stop:
+                break
+            self.trail[0] = self.state
+            while sweeps < most and change > stop:
+                change = 0.0
+                for place in range(count):
+                    change += updated(self, used[place])
+                sweeps += 1
+                step += 1
+                self.trail[step] = self.state
+                if step == HISTORY + 1:
+                    extrapolate(self, used[:count])
+                    self.trail[0] = self.state
+                    step = 0
+        return sweeps
+
+
+cdef bint in_use(Blocks b, Py_ssize_t g) noexcept:
+    """Whether a coefficient of group g is not zero."""
+    for t in range(b.state.shape[0]):
+        for j in range(b.starts[g], b.starts[g + 1]):
+            if b.state[t, j] != 0.0:
+                return True
+    return False
+
+
+cdef double updated(Blocks b, Py_ssize_t g) noexcept:
+    """Group g to its optimum given the others; sum_i square_i |change of v_i|^2.
+
+    With p_i = z_i'R/m + square_i v_i, softly thresholded by ``inner``, a_i = sum_t p_ti^2 and
+    sum_i a_i > limit^2, the optimum is v_i = n p_i / (square_i n + limit). Its norm n is the root
+    of 1/sqrt(sum_i a_i / (square_i n + limit)^2) = 1, which is concave in n: Newton's method
+    ascends to it.
+    """
+    cdef Py_ssize_t j = b.starts[g]
+    cdef int m = b.z.shape[0], size = b.starts[g + 1] - b.starts[g], one = 1
+    cdef double total = 0.0, norm = 0.0, change = 0.0, limit = b.limits[g], unit = 1.0, zero = 0.0
+    cdef double slope, rise, share, move
+    cdef double *block = <double *>&b.z[0, j]
+    cdef double *residual
+    for t in range(b.state.shape[0]):
+        residual = &b.state[t, b.z.shape[1]]
+        dgemv("T", &m, &size, &b.per, block, &m, residual, &one, &zero, &b.pull[t, 0], &one)
+        for i in range(size):
+            b.pull[t, i] += b.square[j + i] * b.state[t, j + i]
+            if b.inner[j + i] > 0.0:
+                share = max(fabs(b.pull[t, i]) - b.inner[j + i], 0.0)
+                b.pull[t, i] = share if b.pull[t, i] > 0.0 else -share
+            total += b.pull[t, i] * b.pull[t, i]
+    for _ in range(NEWTON if total > limit * limit else 0):
+        total = slope = 0.0
+        for t in range(b.state.shape[0]):
+            for i in range(size):
+                share = 1.0 / (b.square[j + i] * norm + limit)
+                rise = b.pull[t, i] * b.pull[t, i] * share * share
+                total += rise
+                slope += rise * share * b.square[j + i]
+        rise = total * (sqrt(total) - 1.0) / slope if slope > 0.0 else 0.0
+        norm += max(rise, 0.0)
+        if not rise > EXACT * norm:
+            break
+    for t in range(b.state.shape[0]):
+        move = 0.0
+        for i in range(size):
+            share = norm / (b.square[j + i] * norm + limit) if norm > 0.0 else 0.0
+            b.pull[t, i] = b.state[t, j + i] - share * b.pull[t, i]
+            b.state[t, j + i] -= b.pull[t, i]
+            move += b.square[j + i] * b.pull[t, i] * b.pull[t, i]
+        if move != 0.0:
+            residual = &b.state[t, b.z.shape[1]]
+            dgemv("N", &m, &size, &unit, block, &m, &b.pull[t, 0], &one, &unit, residual, &one)
+        change += move
+    return change
+
+
+cdef double objective(Blocks b, const Py_ssize_t[::1] used) noexcept:
+    """The objective at the iterate, whose groups in use these are."""
+    cdef int m = b.z.shape[0], one = 1
+    cdef double total = 0.0, square
+    cdef double *residual
+    for t in range(b.state.shape[0]):
+        residual = &b.state[t, b.z.shape[1]]
+        total += 0.5 * b.per * ddot(&m, residual, &one, residual, &one)
+    for place in range(used.shape[0]):
+        square = 0.0
+        for t in range(b.state.shape[0]):
+            for j in range(b.starts[used[place]], b.starts[used[place] + 1]):
+                square += b.state[t, j] * b.state[t, j]
+                total += b.inner[j] * fabs(b.state[t, j])
+        total += b.limits[used[place]] * sqrt(square)
+    return total
+
+
+cdef void extrapolate(Blocks b, const Py_ssize_t[::1] used) noexcept:
+    """The combination x = sum_i c_i x_i, sum_i c_i = 1, of the trail whose moves cancel best.
+
+    c minimises |sum_i c_i (x_i - x_{i-1})|; x is taken where the objective falls.
+    """
+    cdef int order = HISTORY, one = 1, failed, width = b.state.shape[1]
+    cdef Py_ssize_t columns = b.z.shape[1]
+    cdef double[HISTORY * HISTORY] products
+    cdef double[HISTORY] share
+    cdef double before = objective(b, used), total = 0.0
+    b.trail[0] = b.state
+    for i in range(1, HISTORY + 1):  # the moves
+        share[i - 1] = 1.0
+        for t in range(b.state.shape[0]):
+            for j in range(width):
+                b.trail[i, t, j] = b.trail[i + 1, t, j] - b.trail[i, t, j]
+    for i in range(HISTORY):
+        for l in range(i + 1):
+            products[i * HISTORY + l] = 0.0
+            for t in range(b.state.shape[0]):
+                for j in range(columns):
+                    products[i * HISTORY + l] += b.trail[i + 1, t, j] * b.trail[l + 1, t, j]
+        total += products[i * HISTORY + i]
+    for i in range(HISTORY):
+        products[i * HISTORY + i] += 1e-12 * total + 1e-300
+    dposv("U", &order, &one, products, &order, share, &order, &failed)
+    total = 0.0
+    for i in range(HISTORY):
+        total += share[i]
+    for i in range(HISTORY - 1):  # sum_i c_i x_i is the last x less partial sums of c times moves
+        share[i] = -share[i] / total + (share[i - 1] if i else 0.0)
+        for t in range(b.state.shape[0]):
+            daxpy(&width, &share[i], &b.trail[i + 2, t, 0], &one, &b.state[t, 0], &one)
+    if failed or not objective(b, used) <= before:
+        b.state[:] = b.trail[0]
 
 
 cdef class Clusters:
@@ -165,53 +263,67 @@ cdef class Clusters:
 
 
 cdef void moved(Clusters c, Py_ssize_t k, Py_ssize_t place, double level, bint merges) noexcept:
-    """Cluster k to that level, before the cluster at ``place`` or into it; at zero it is gone."""
-    cdef Py_ssize_t first = c.begin[k], size = c.begin[k + 1] - c.begin[k], shift
-    cdef Py_ssize_t total = c.begin[c.d], into
+    """Move cluster k to a level, before cluster ``place`` or into it; level 0 removes it."""
+    cdef Py_ssize_t first = c.begin[k], size = c.begin[k + 1] - first
     for i in range(size):
         c.spare[i] = c.member[first + i]
-    for i in range(first, total - size):
-        c.member[i] = c.member[i + size]
-    for l in range(k, c.d):  # k is taken out
-        c.begin[l] = c.begin[l + 1] - size
-        c.level[l] = c.level[l + 1]
-    c.d -= 1
     if level == 0.0:
+        for i in range(first, c.begin[c.d] - size):
+            c.member[i] = c.member[i + size]
+        for l in range(k, c.d):
+            c.begin[l] = c.begin[l + 1] - size
+            c.level[l] = c.level[l + 1]
+        c.d -= 1
         return
-    into = place - (place > k)
-    first = c.begin[into]
-    for i in range(total - size - 1, first - 1, -1):
-        c.member[i + size] = c.member[i]
+    if place > k:
+        place -= 1
+        for i in range(first, c.begin[place + 1] - size):
+            c.member[i] = c.member[i + size]
+        for l in range(k, place):
+            c.begin[l] = c.begin[l + 1] - size
+            c.level[l] = c.level[l + 1]
+        c.begin[place] = c.begin[place + 1] - size
+    else:
+        for i in range(first - 1, c.begin[place] - 1, -1):
+            c.member[i + size] = c.member[i]
+        for l in range(k, place, -1):
+            c.begin[l] = c.begin[l - 1] + size
+            c.level[l] = c.level[l - 1]
+    c.level[place] = level
     for i in range(size):
-        c.member[first + i] = c.spare[i]
-    if merges:
-        for l in range(into + 1, c.d + 1):
-            c.begin[l] += size
-        return
-    for l in range(c.d, into - 1, -1):
-        c.begin[l + 1] = c.begin[l] + size
-        c.level[l + 1] = c.level[l]
-    c.level[into] = level
-    c.d += 1
+        c.member[c.begin[place] + i] = c.spare[i]
+    if merges:  # with the cluster behind it, of that level
+        c.d -= 1
+        for l in range(place + 1, c.d + 1):
+            c.begin[l] = c.begin[l + 1]
+            c.level[l] = c.level[l + 1]
 
 
 def descend_clusters(
     const double[:, ::1] gram,
+    columns,
     const double[::1] price,
-    double[::1] correlation,
+    double[::1] state,
     double[::1] values,
     Py_ssize_t sweeps,
 ):
     """Sweep over SLOPE's clusters, each to its optimum, past others or into one of them.
 
-    price (j + 1,): sums of the leading alpha lambda. correlation B - G v (j,) and values v (j,) are
-    worked on in place. Returns whether no cluster met another.
+    price (j + 1,): sums of the leading alpha lambda. Values v (j,) and the state are worked on in
+    place: the correlation B - G v (j,) or, of sparse columns, (data, rows, starts, samples) of
+    scipy's CSC where ``gram`` is None, the residual (m,). Returns whether no cluster met another.
     """
     cdef Clusters c = Clusters(np.asarray(values))
     cdef int j = len(values), one = 1
-    cdef Py_ssize_t k, a, first, size, rank, place
-    cdef double square, pull, level, step, turn, largest = 0.0, moves
-    cdef bint merges, same = True
+    cdef Py_ssize_t k, a, l, first, size, rank, place
+    cdef double square, pull, level, step, turn, largest = 0.0, moves, per = 1.0
+    cdef bint merges, same = True, sparse = gram is None
+    cdef const double[::1] data
+    cdef const int[::1] rows, starts
+    cdef double[::1] sum_of_columns
+    if sparse:
+        data, rows, starts, samples = columns
+        per, sum_of_columns = 1.0 / samples, np.zeros(len(state))
     for _ in range(sweeps):
         k, moves = 0, 0.0
         while k < c.d:
@@ -219,9 +331,20 @@ def descend_clusters(
             square = pull = 0.0
             for i in range(first, first + size):
                 a = c.member[i]
-                pull += c.sign[a] * correlation[a]
+                if sparse:
+                    for l in range(starts[a], starts[a + 1]):
+                        sum_of_columns[rows[l]] += c.sign[a] * data[l]
+                    continue
+                pull += c.sign[a] * state[a]
                 for l in range(first, first + size):
                     square += c.sign[a] * c.sign[c.member[l]] * gram[a, c.member[l]]
+            for i in range(first, first + size if sparse else first):
+                a = c.member[i]
+                for l in range(starts[a], starts[a + 1]):
+                    turn = sum_of_columns[rows[l]]
+                    square += per * turn * turn
+                    pull += per * turn * state[rows[l]]
+                    sum_of_columns[rows[l]] = 0.0
             if not square > 0.0:
                 k += 1
                 continue
@@ -255,7 +378,11 @@ def descend_clusters(
             for i in range(first, first + size):
                 a = c.member[i]
                 pull = -step * c.sign[a]
-                daxpy(&j, &pull, <double *>&gram[a, 0], &one, &correlation[0], &one)
+                if sparse:
+                    for l in range(starts[a], starts[a + 1]):
+                        state[rows[l]] += pull * data[l]
+                else:
+                    daxpy(&j, &pull, <double *>&gram[a, 0], &one, &state[0], &one)
                 c.sign[a] *= turn
                 if level == 0.0:
                     values[a] = 0.0

@@ -30,11 +30,11 @@ from scipy.linalg.cython_lapack cimport dposv, dpotrf, dpotrs
 cdef enum:
     ITERATIONS = 80
     HALVINGS = 30
-    FRESH = 8  # violators that join at once, at least: most of more do not stay
-    TURNS = 10  # of the bounded subproblem per variable, and as many more: beyond, it is cycling
+    FRESH = 8  # violating groups that may join at once, at least: most of more do not stay
+    TURNS = 10  # steps of the bounded subproblem, per variable and in addition: more is cycling
 
 cdef:
-    double NEGLIGIBLE = 1e-11  # eta times tr G_gg: its curvature would be lost
+    double NEGLIGIBLE = 1e-11  # eta tr G_gg that counts as zero: its curvature is lost in rounding
     double FLOOR = 1e-15  # a relative gap that double precision cannot improve
     double ROUNDING = 1e-13  # of f, by which it may rise; of a pull, that a free bound must exceed
     double RIDGE = 1e-13  # on the unit diagonal: duplicated groups make the Hessian singular
@@ -166,11 +166,11 @@ cdef class Groups:
 
 
 cdef class Point:
-    """What follows from one eta (g,), of which `evaluated` is told.
+    """The quantities at one eta (g,), which `evaluated` computes.
 
     Of the s groups with eta > 0 and their c columns: group (s,), column (c,), label (c,) and root
     (c,) of D^1/2; weights W (n, c). factor (c, c): L of A; image (s, n, c): L^-1 of what groups
-    show in the Hessian (s, s), which `curve` makes, of groups about to enter, too. Of all columns:
+    contribute to the Hessian (s, s), by `curve`, of groups about to enter, too. Of all columns:
     correlation C (n, k). value: f without its last term. Arrays have room for more.
     """
 
@@ -193,7 +193,7 @@ cdef class Point:
 
 
 cdef bint evaluated(Point x) noexcept:
-    """What follows from x.eta, which is zero where its curvature would be lost; false: no factor."""
+    """Compute the quantities at x.eta, negligible entries zero; false: no Cholesky factor."""
     cdef Groups z = x.z
     cdef int k = z.k, order, count = z.n, stride = z.k, failed = 0, one = 1
     cdef Py_ssize_t c = 0, s = 0
@@ -275,7 +275,7 @@ cdef void curve(Point x, Py_ssize_t total) noexcept:
 cdef class Search:
     """Newton's method on eta at one penalty after another, each started from the one before.
 
-    goal: the relative gap to reach; eta (g,): where the path stands. next (g,): where it goes.
+    goal: the relative gap to reach; point.eta (g,): the iterate; next (g,): the next one.
     """
 
     cdef Groups z
@@ -294,7 +294,7 @@ cdef class Search:
             raise ValueError("the variances of a group path are not finite")
 
     def minimised(self, double alpha):
-        """Weights (n, k), their relative gap, and the factorisations that were spent."""
+        """Weights (n, k), their relative gap, and the number of Cholesky factorisations."""
         values, least, spent = np.zeros((self.z.n, self.z.k)), INFINITY, 0
         self.alpha = alpha
         while True:
@@ -316,9 +316,9 @@ cdef class Search:
 
 
 cdef void enlarge(Search s, Py_ssize_t total, bint secular) noexcept:
-    """`next` after the bounded step on the first `total` of x.group: those in use, and further ones.
+    """Set `next` by a bounded Newton step on the first `total` of x.group, in use or to join.
 
-    The step is that of 1/|C| = 1/alpha, where `secular`, or of the gradient of f.
+    The step is that of the equation 1/|C| = 1/alpha, where `secular`, or of the gradient of f.
     """
     cdef Point x = s.point
     cdef Bounded b = s.bounded
@@ -336,7 +336,7 @@ cdef void enlarge(Search s, Py_ssize_t total, bint secular) noexcept:
 
 
 cdef bint accepted(Search s, Py_ssize_t total) noexcept:
-    """Go to `next` if f does not rise there, else to a halved plain Newton step; false: neither."""
+    """Step to `next` if f does not rise, else by a plain Newton step, halved; false: neither."""
     cdef double here = objective(s, s.point), share = 1.0
     curve(s.point, total)
     enlarge(s, total, True)

@@ -83,10 +83,10 @@ def body_of(values: Mapping[str, Value | None]) -> str:
 def outcome_of(
     kinds: Mapping[str, Kind], unit: int, cell: int, status: Any, reason: Any, values: Any
 ) -> Outcome:
-    """The outcome that a worker has told, held against the kinds of the columns.
+    """The outcome in an answer of a worker, checked against the kinds of the columns.
 
     Raises:
-        ValueError, TypeError, LookupError: a status, a column or a value that there is not.
+        ValueError, TypeError, LookupError: for an unknown status or column, or a wrong value.
     """
     if status not in STATUSES or not isinstance(reason, str) or not isinstance(values, dict):
         raise ValueError(f"a status that there is not: {status!r}"[:80])

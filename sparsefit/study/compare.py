@@ -1,8 +1,8 @@
-"""Two runs of a study held against each other: which cases changed, and by how much.
+"""Comparison of two runs of a study: which cases changed, and by how much.
 
-Cases are the same where their ids are, else where `flight` and `identity` are. A case changed where
-its status did, or a number: of flights U0, L_w and tau_w, of problems the held-out error. No time
-is like another: they are not compared.
+Cases are matched by id or, without common ids, by `flight` and `identity`. A case changed if its
+status or its estimate did: U0, L_w and tau_w of flights, the held-out error of problems. Times are
+not compared.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.measures import factors, numbers
 from sparsefit.study.table import Table, significant
 
-TOLERANCE = 1e-6  # of a number: what changed by less is the same
+TOLERANCE = 1e-6  # relative change below which estimates are equal
 COUNTS = ("changed", "in status", "lost")
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """The cases that both runs have, as the first has them, and how many only one has.
+    """The cases of both runs, and the numbers of cases in one of them only.
 
-    cases: with the columns `status, second`; `change`, the largest relative change of a number [%],
-    infinite where one run has none; `in status`, whether the status is another; `changed`, whether
-    anything is; `lost`, whether an answer is no more.
+    cases: those of the first run, with the columns `status, second`; `change`, the largest relative
+    change of an estimate [%], infinite if one run has none; `in status`, whether the status
+    differs; `changed`, whether status or estimate do; `lost`, whether the second has no answer.
     """
 
     names: tuple[str, str]
@@ -37,12 +37,12 @@ class Comparison:
 
     @property
     def differs(self) -> bool:
-        """Whether a case changed, or is in one run alone."""
+        """Whether a case changed, or is missing in one run."""
         return bool(self.cases["changed"].any()) or any(self.only)
 
     @property
     def sentence(self) -> str:
-        """The numbers of changed cases and the largest change, in a sentence."""
+        """A summary: numbers of changed cases, and the largest change."""
         only = (f"; {count} only in {name}"
                 for count, name in zip(self.only, self.names, strict=True) if count)  # fmt: skip
         return (
@@ -53,10 +53,10 @@ class Comparison:
 
     @property
     def tables(self) -> dict[str, Table]:
-        """The settings of which a case changed, and those cases, the largest change first."""
+        """Changes by setting, and the changed cases, the largest change first."""
         cases = self.cases
         names = ["objective", "solver"] if "objective" in cases else ["protocol", "label"]
-        for name in (*factors(cases), "settings"):  # what the others do not say already
+        for name in (*factors(cases), "settings"):  # unless implied by the others
             if cases.groupby(names, dropna=False)[name].nunique(dropna=False).max() > 1:
                 names.append(name)
         groups = cases.groupby(names, sort=False, dropna=False)
@@ -72,7 +72,7 @@ class Comparison:
         return {"settings": Table.of(settings), "changes": Table.of(changes)}
 
     def record(self) -> dict[str, Any]:
-        """Return the comparison as JSON has it."""
+        """Return the comparison for JSON."""
         counts = self.cases[[*COUNTS]].sum().tolist()
         return {
             "summary": self.sentence, "cases": len(self.cases),
@@ -83,14 +83,14 @@ class Comparison:
 
 
 def _largest(change: pd.Series) -> float:
-    """Return the largest finite change [%]; 0 of none."""
+    """Return the largest finite change [%], or 0."""
     return float(change[np.isfinite(change)].max()) if np.isfinite(change).any() else 0.0
 
 
 def compare(
     first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str], tolerance: float = TOLERANCE
 ) -> Comparison:
-    """Pair the cases of two runs; a number that moves by more than `tolerance` changed.
+    """Match the cases of two runs; `tolerance` is the smallest relative change that counts.
 
     Raises:
         InputError: if they have no case in common.

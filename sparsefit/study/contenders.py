@@ -1,4 +1,4 @@
-"""The design of a study of problems: its problems, who solves them, and how that is judged.
+"""The design of a study of problems: regression problems, and the solvers that are compared.
 
     [[backends]]
     name = "lasso"                       # the objective
@@ -15,6 +15,7 @@ charged for all that `sparsefit.path` does. `kind = "problems"` judges each by h
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -48,7 +49,7 @@ IN_USE = 1e-3  # share of the largest weight (of columns of unit rms), above whi
 ACCURACIES = (1e-4, 1e-6, 1e-8)  # certified, at which success and time are counted
 KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, `name` and `alter`
     "flights": ("library",),
-    "file": ("test",),
+    "file": ("target", "intercept", "test"),
     "dataset": (),
     "generator": ("count", *schema.names_of(Generator)),
 }
@@ -56,10 +57,10 @@ KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, 
 
 @dataclass(frozen=True, eq=False)
 class ProblemSource:
-    """One problem: what makes its arrays, and what is done to them.
+    """One problem: the source of its arrays, and their alteration.
 
-    series: the entry it belongs to; identity: what determines its numbers; test: a file of rows
-    that are held out; dataset: the name of a public one.
+    series: the entry it belongs to; identity: what determines its numbers; keys: of the entry;
+    test: reads the rows that are held out in a file.
     """
 
     name: str
@@ -68,8 +69,8 @@ class ProblemSource:
     identity: str
     alter: str
     seed: int
-    test: Path | None = None
-    dataset: str = ""
+    keys: ProblemKeys
+    test: Callable[[], data_sets.Data] | None
 
     def build(self) -> data_sets.Data:
         """The arrays of the problem, checked as a regression problem.
@@ -80,14 +81,16 @@ class ProblemSource:
         try:
             data = self.make().real()
             if self.test is not None:
-                rows = data_sets.read_data(self.test).real()
+                rows = self.test().real()
                 data = replace(data, test=(rows.theta, rows.target))
+            if self.keys.intercept:
+                data = data.centred()
             if self.alter != "as it is":
                 random = np.random.default_rng(stream(self.seed, 0, 300))
                 data = data_sets.Data(
                     *data_sets.altered(self.alter, data.theta, data.target, random), data.groups
                 )
-            RegressionProblem.from_arrays(data.theta, data.target, data.groups)
+            RegressionProblem.from_arrays(data.theta, data.target, data.groups, names=data.names)
         except InputError as error:
             raise InputError(f"problem {self.name!r}: {error}") from None
         return data
@@ -129,7 +132,7 @@ class ProblemDesign:
 
 
 def read_problem_design(file: ProblemFile, place: Place) -> ProblemDesign:
-    """The problems of a study, and who solves them."""
+    """The problems of a study and its contenders."""
     schema.distinct(file.tolerances, place.at("tolerances"))
     here, fractions = place.within("problems"), tuple[float, ...]()
     if file.path is not None:
@@ -148,6 +151,8 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     entry, seed = file.problems[place_in_file], file.seed + place_in_file
     kinds = [kind for kind in KINDS if kind in entry]
     if len(kinds) != 1:
+        if not kinds:
+            only(entry, (*KINDS, "name", "alter", *itertools.chain(*KINDS.values())), place)
         have = " and ".join(kinds) or "none"
         which = f'"{entry["name"]}"' if "name" in entry else f"entry {place_in_file + 1}"
         raise place.error(f"each needs exactly one of {', '.join(KINDS)}; {which} has {have}")
@@ -156,18 +161,19 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     keys, rest = schema.taken(ProblemKeys, entry, place)
     name = series = keys.name or str(entry[kind])
     folder, test, beside = Path(place.file).parent, None, None
-    made: list[
-        tuple[Callable[[], data_sets.Data], Any]
-    ]  # what makes the arrays, and what determines them
+    more = [*keys.target, *["intercept"] * keys.intercept] or None
+    made: list[tuple[Callable[[], data_sets.Data], Any]]  # arrays, and what determines them
     if kind == "file":
+        schema.distinct(keys.target or ("",), place.at("target"))
         path = folder / keys.file
-        name, shape = keys.name or path.stem, data_sets.shapes_of(path)["theta"]
-        made = [(partial(data_sets.read_data, path), data_sets.digest_of(path))]
+        name, columns = keys.name or path.stem, data_sets.columns_of(path, keys.target)
+        read = partial(data_sets.read_data, target=keys.target, columns=columns)
+        made = [(partial(read, path), data_sets.digest_of(path))]
         if keys.test:
-            test = folder / keys.test
-            if data_sets.shapes_of(test)["theta"][1:] != shape[1:]:
+            path = folder / keys.test
+            if sorted(columns) != sorted(data_sets.columns_of(path, keys.target)):
                 raise place.at("test").error(f'"{keys.test}": its rows have other columns')
-            beside = data_sets.digest_of(test)
+            test, beside = partial(read, path), data_sets.digest_of(path)
     elif kind == "dataset":
         made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":
@@ -189,8 +195,8 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
         numbered_name = f"{name} {number}" if len(made) > 1 else name
         for alter in keys.alter:
             own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
-            whole = canonical_json([identity, None, beside, alter, seed])
-            yield ProblemSource(own, series, make, whole, alter, seed, test, keys.dataset or "")
+            whole = canonical_json([identity, more, beside, alter, seed])
+            yield ProblemSource(own, series, make, whole, alter, seed, keys, test)
 
 
 def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_sets.Data:
@@ -206,24 +212,21 @@ def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_se
 def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
     here, recipes = place.within("backends"), _read_solvers(file, place)
-    listed: list[tuple[ContenderKeys, Mapping[str, Any], str, Recipe | None]] = []
-    for entry in file.backends:
-        if file.path is not None and "alpha_fraction" in entry:
-            raise here.at("alpha_fraction").error("is a single fit's: [path] sets the penalties")
-        keys, given = schema.taken(ContenderKeys, entry, here)
-        listed += [
-            (keys, settings, solver, recipe)
-            for settings in crossing.points_of(crossing.read_grid(given, here))
-            for name in keys.solver
-            for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]
-        ]
+    listed: list[tuple[ContenderKeys, dict[str, Any], str, Recipe | None]] = []
+    for keys, grid, settings in crossing.points_of_entries(file.backends, ContenderKeys, here):
+        if file.path is not None and crossing.ALPHA in grid:
+            raise here.at(crossing.ALPHA).error("is a single fit's: [path] sets the penalties")
+        for name in keys.solver:
+            solvers = recipes.get(name) or [(name, Recipe(name) if name else None)]
+            listed += [(keys, settings, *solver) for solver in solvers]
     asked = [(keys.name, settings, recipe) for keys, settings, _, recipe in listed]
     foreign = [_foreign(name, recipe) for name, _, recipe in asked]
     about = crossing.facts(about_contenders, asked, foreign=any(foreign), place=here)
     contenders: list[Contender] = []
     for (keys, settings, solver, recipe), other, words in zip(listed, foreign, about, strict=True):
         if refused := words.pop("refused"):
-            raise here.error(refused)
+            own = f"; [[solvers]] has {', '.join(recipes)}" if recipes else ""
+            raise here.error(refused + own * (recipe is not None and recipe.name not in recipes))
         stops = tuple(sorted(keys.tolerances or file.tolerances, reverse=True))
         stops = stops if words.pop("stops") else (math.nan,)
         if its_own := words.pop("solver"):
@@ -236,11 +239,11 @@ def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
         if any((c.objective, c.solver) == (label, solver) for c in contenders):
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
-        own = Contender(
+        contender = Contender(
             objective=label, backend=keys.name, settings=settings, solver=solver, tolerances=stops,
             certified=keys.certified, limit=file.clock.limit, foreign=other, recipe=recipe, **words,
         )  # fmt: skip
-        contenders.append(own)
+        contenders.append(contender)
     return tuple(contenders)
 
 
@@ -259,17 +262,16 @@ def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, 
     """
     recipes: dict[str, list[tuple[str, Recipe | None]]] = {}
     here, folder = place.within("solvers"), Path(place.file).parent
-    for entry in file.solvers:
-        keys, settings = schema.taken(SolverKeys, entry, here)
+    for keys, grid, point in crossing.points_of_entries(file.solvers, SolverKeys, here):
         code = str(folder / keys.file) if keys.file else ""
+        if not (code or keys.command) and keys.name not in solver_names():
+            words = f'missing: "{keys.name}" is of no package: give its file, or its command'
+            raise here.at("file").error(words)
         if keys.command:
             code = str(folder / "solver")  # a command is sought beside the study
-        grid = crossing.read_grid(settings, here)
-        for point in crossing.points_of(grid):
-            varied = {name: point[name] for name in grid if len(grid[name]) > 1}
-            recipe = Recipe(keys.name, point, code, keys.command, file.clock.limit, keys.start)
-            words = crossing.named(keys.name, varied)
-            recipes.setdefault(keys.name, []).append((words, recipe))
+        varied = {name: value for name, value in point.items() if len(grid[name]) > 1}
+        recipe = Recipe(keys.name, point, code, keys.command, file.clock.limit, keys.start)
+        recipes.setdefault(keys.name, []).append((crossing.named(keys.name, varied), recipe))
     return recipes
 
 

@@ -13,13 +13,12 @@ read; its back-end and settings say who fits.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
 from sparsefit.codec import Place, build, integer, made, number, only, shown
@@ -32,15 +31,17 @@ from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
 from sparsefit.study.keys import BackendKeys, FlightFile, ProtocolKeys
 from sparsefit.study.quantities import nearest
-from sparsefit.study.schema import Section, canonical_json, distinct, names_of, taken
+from sparsefit.study.schema import Section, canonical_json, digest, distinct, names_of, taken
 from sparsefit.study.worker import in_child
 
 MOST_CASES = 2_000_000
+ALPHA = "alpha_fraction"
 Setting: TypeAlias = float | int | str | bool
 Sections: TypeAlias = Mapping[str, Section]
 Levels: TypeAlias = Mapping[str, object]  # values by dotted key
 Protocols: TypeAlias = Mapping[str, Levels]  # what each named alternative overrides
 Grid: TypeAlias = Mapping[str, Sequence[Any]]
+Keys = TypeVar("Keys")
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "flights": FLIGHT_KEYS,
     "derivative": names_of(Derivative),
@@ -62,34 +63,34 @@ class Setup:
 
 
 @dataclass(frozen=True, eq=False)
-class BackendChoice:
-    """One [[backends]] entry: every setting with the values that it takes."""
+class BackendPoint:
+    """A back-end with one combination of the settings of its [[backends]] entry.
+
+    settings: those that the entry gives; canonical_settings: all of them, as canonical JSON;
+    own_settings: those that are not at their defaults; fractions: all penalties of the entry, where
+    the back-end walks a path over them: a resumed run repeats the path.
+    """
 
     name: str
     label: str
-    grid: Grid
+    settings: Mapping[str, Setting]
+    canonical_settings: str
+    own_settings: str
+    fractions: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """One protocol, sweep level, back-end and setting, resolved.
+    """A protocol, sweep levels and a back-end with its settings, resolved.
 
-    `index` is its place in the plan and `key` a hash of those four, which stays the same whatever
-    else the study plans. `settings` are those that the entry `choice` gives, `canonical_settings`
-    all of them, as canonical JSON, `own_settings` those that are not at their defaults; `walks`:
-    whether the back-end walks a path of penalties.
+    key: a hash of these, independent of the other cells of the study.
     """
 
-    index: int
     key: str
     protocol: str
     levels: Levels
     setup: Setup
-    choice: BackendChoice
-    settings: Mapping[str, Setting]
-    canonical_settings: str
-    own_settings: str
-    walks: bool
+    backend: BackendPoint
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +120,6 @@ class FlightDesign:
             return "all"
         before, after = (n * self.validate_count // self.count for n in (flight, flight + 1))
         return "validate" if after > before else "evaluate"
-
-
-Fitted: TypeAlias = tuple[BackendChoice, Mapping[str, Setting], str, str, bool]
 
 
 def _read_part(name: str, section: Section, place: Place) -> Any:
@@ -173,7 +171,7 @@ def cross(
     sections: Sections,
     protocols: Protocols,
     sweep: Grid,
-    fitted: Sequence[Fitted],
+    fitted: Sequence[BackendPoint],
     place: Place,
     parts: dict[str, Any],
 ) -> Iterator[Cell]:
@@ -184,7 +182,6 @@ def cross(
     Raises:
         InputError: with the protocol and levels that resolve to something that cannot be.
     """
-    index = itertools.count()
     for (protocol, overrides), levels in itertools.product(protocols.items(), points_of(sweep)):
         words = [f'protocol "{protocol}"'] if overrides else []
         words += [f"{name} = {shown(value)}" for name, value in levels.items()]
@@ -194,10 +191,9 @@ def cross(
             section, _, name = dotted.partition(".")
             changed[section][name] = value
         setup = read_setup(changed, within, parts)
-        for own in fitted:
-            identity = canonical_json([protocol, levels, own[0].name, own[1]])
-            digest = hashlib.sha256(identity.encode()).hexdigest()[:16]
-            yield Cell(next(index), digest, protocol, levels, setup, *own)
+        for backend in fitted:
+            names = [protocol, levels, backend.name, backend.settings]
+            yield Cell(digest(canonical_json(names)), protocol, levels, setup, backend)
 
 
 def read_flight_design(file: FlightFile, place: Place) -> FlightDesign:
@@ -254,30 +250,34 @@ def _dotted(section: Section, place: Place) -> dict[str, object]:
         first, _, name = dotted.partition(".")
         here, keys = place.at(dotted), SECTION_KEYS.get(first)
         if keys is None:
-            near = suggestion(first, SECTION_KEYS)
-            raise here.error(f'unknown: the part before the dot, "{first}"{near}')
+            own = [f"{each}.{name or first}" for each in SECTION_KEYS
+                   if (name or first) in SECTION_KEYS[each]]  # fmt: skip
+            near = f': did you mean "{own[0]}"?' if own else suggestion(first, SECTION_KEYS)
+            raise here.error(f"unknown{near}")
+        if dotted == "flights.count":
+            raise here.error("is of the whole study: set it in [flights] alone")
         if name not in keys:
             near = nearest(name, keys) if first == "flights" else suggestion(name, keys)
             raise here.error(f'unknown: [{first}] has no "{name}"{near}')
     return flat
 
 
-def _read_backends(file: FlightFile, place: Place) -> list[Fitted]:
+def _read_backends(file: FlightFile, place: Place) -> list[BackendPoint]:
     """Every point of the [[backends]] of flights, accepted by the back-end itself."""
-    fitted: list[Fitted] = []
-    seen = set[str]()
-    for entry in file.backends:
-        keys, rest = taken(BackendKeys, entry, place)
-        choice = BackendChoice(keys.name, keys.label or keys.name, read_grid(rest, place))
-        points = points_of(choice.grid)
-        about = facts(about_backend, keys.name, points, foreign=of_others(keys.name), place=place)
-        for settings, words in zip(points, about, strict=True):
-            identity = canonical_json([keys.name, settings])
-            if identity in seen:
-                raise place.error(f'"{keys.name}" is listed twice with {shown(settings)}')
-            seen.add(identity)
-            fitted.append((choice, settings, *words))
-    return fitted
+    fitted: dict[str, BackendPoint] = {}
+    listed = points_of_entries(file.backends, BackendKeys, place)
+    asked = [(keys.name, settings) for keys, _, settings in listed]
+    foreign = any(of_others(name) for name, _ in asked)
+    about = facts(about_backends, asked, foreign=foreign, place=place)
+    for (keys, grid, settings), (canonical, own, walks) in zip(listed, about, strict=True):
+        if (identity := canonical_json([keys.name, settings])) in fitted:
+            raise place.error(f'"{keys.name}" is listed twice with {shown(settings)}')
+        # With "auto" a back-end walks a path of its own.
+        alphas = [float(alpha) for alpha in grid.get(ALPHA, ()) if alpha != "auto"]
+        along = walks and settings.get(ALPHA) != "auto" and len(alphas) > 1
+        content = (keys.name, keys.label or keys.name, settings, canonical, own)
+        fitted[identity] = BackendPoint(*content, tuple(alphas) if along else ())
+    return list(fitted.values())
 
 
 def facts(work: Callable[..., Any], *asked: object, foreign: bool, place: Place) -> Any:
@@ -288,37 +288,48 @@ def facts(work: Callable[..., Any], *asked: object, foreign: bool, place: Place)
         raise place.error(str(error)) from None
 
 
-def read_grid(settings: Section, place: Place) -> dict[str, tuple[Setting, ...]]:
-    """The values that each setting takes, by name: a number, a text, true/false, or a list."""
-    grid: dict[str, tuple[Any, ...]] = {}
-    for name, value in sorted(settings.items()):
-        here = place.at(name)
-        grid[name] = tuple(distinct(value, here))
-        for item in grid[name]:
-            if not isinstance(item, bool | str | int | float):
-                words = "must be a number, text or true/false, or a list of them"
-                raise here.error(f"{words}, not {shown(item)}")
-            if not isinstance(item, bool | str):
-                number(item, here)
-    if (size := math.prod(map(len, grid.values()))) > 100_000:
-        raise place.error(f"has a grid of {size} settings: 100000 are the most")
-    return grid
+def points_of_entries(
+    entries: Sequence[Section], kind: type[Keys], place: Place
+) -> list[tuple[Keys, dict[str, tuple[Setting, ...]], dict[str, Setting]]]:
+    """Every combination of the settings of entries: the keys of the entry, its grid, the point.
+
+    A setting, which is any key but those of ``kind``, is a number, a text, true/false, or a list.
+    """
+    listed = []
+    for entry in entries:
+        keys, settings = taken(kind, entry, place)
+        grid: dict[str, tuple[Any, ...]] = {}
+        for name, value in sorted(settings.items()):
+            here = place.at(name)
+            grid[name] = tuple(distinct(value, here))
+            for item in grid[name]:
+                if not isinstance(item, bool | str | int | float):
+                    words = "must be a number, text or true/false, or a list of them"
+                    raise here.error(f"{words}, not {shown(item)}")
+                if not isinstance(item, bool | str):
+                    number(item, here)
+        if (size := math.prod(map(len, grid.values()))) > 100_000:
+            raise place.error(f"has a grid of {size} settings: 100000 are the most")
+        listed += [(keys, grid, point) for point in points_of(grid)]
+    return listed
 
 
 def of_others(name: str) -> bool:
-    """Whether a back-end of that name is code of another package; an unknown one is of nobody."""
+    """Whether a back-end is code of another package; False of an unknown name."""
     return name not in backends.BACKENDS and name in (*backends.known(), *backends.PUBLIC)
 
 
-def about_backend(name: str, points: Sequence[dict[str, Any]]) -> list[tuple[str, str, bool]]:
-    """Of a back-end with each of these settings: all of them, those that are not at their defaults
-    (both as canonical JSON), and whether it walks a path of penalties.
+def about_backends(
+    asked: Sequence[tuple[str, Mapping[str, Setting]]],
+) -> list[tuple[str, str, bool]]:
+    """Of each back-end with its settings: all of them, those that are not at their defaults (both
+    as canonical JSON), and whether it walks a path of penalties.
     """
-    registered: Any = backends.load(name)
-    defaults = {item.name: item.default for item in fields(registered)}
     about = []
-    for point in points:
-        backend = backends.get(name, **point)
+    for name, settings in asked:
+        registered: Any = backends.load(name)
+        defaults = {item.name: item.default for item in fields(registered)}
+        backend = backends.get(name, **settings)
         canonical = canonical_json(backends.settings_of(backend))
         content = json.loads(canonical)
         own = {k: v for k, v in content.items() if v != defaults.get(k, MISSING)}

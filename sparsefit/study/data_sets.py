@@ -8,12 +8,16 @@
     test = "later.npz"                     # rows that no solver sees
 
     [[problems]]
+    file = "mine.csv"                      # a table with a header, or .parquet
+    target = "lift"                        # all other columns are theta
+
+    [[problems]]
     generator = "correlated"               # or "wide", "sparse", "grouped": the truth is known
     samples = 200
     columns = 1000
 
-Any may be made degenerate (`alter`). Sizes in files are read before numbers are, and nothing in a
-file is ever run.
+Any may be made degenerate (`alter`). Files are bounded before they are unpacked, and nothing in one
+is ever run.
 """
 
 from __future__ import annotations
@@ -22,8 +26,9 @@ import hashlib
 import itertools
 import math
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from csv import reader
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -32,11 +37,12 @@ import numpy as np
 from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError, one_of, optional
+from sparsefit.errors import InputError, one_of, optional, suggestion
 from sparsefit.study.keys import MOST_VALUES, DataSet, Generator
 from sparsefit.whole_file import regular_file
 
 MOST_BYTES = 1 << 30  # of a file
+LONGEST_LINE = 1 << 20  # bytes
 DATASETS: tuple[str, ...] = get_args(DataSet)
 GENERATORS: dict[str, dict[str, Any]] = {  # the settings that a name stands for
     "correlated": {"correlation": 0.8},
@@ -51,7 +57,8 @@ class Data:
     """Arrays of a problem: theta (m, k), dense or CSC, target (m, n), labels of groups (k,).
 
     truth (k,): which columns the target is made of, where that is known; samples: the number of
-    rows that ``theta`` stands for, where it is compressed; test: rows held out in a file.
+    rows that ``theta`` stands for, where it is compressed; test: rows held out in a file; names:
+    of the columns of a table.
     """
 
     theta: Any
@@ -60,6 +67,7 @@ class Data:
     truth: BoolArray | None = None
     samples: int | None = None
     test: tuple[Array, Array] | None = None
+    names: tuple[str, ...] | None = None
 
     def real(self) -> Data:
         """The arrays as real numbers, the target as columns (m, n); a sparse theta stays one."""
@@ -67,10 +75,17 @@ class Data:
         target = np.asarray(self.target, float).reshape(theta.shape[0], -1)
         return replace(self, theta=theta, target=target)
 
+    def centred(self) -> Data:
+        """The arrays without the means of their columns, which are taken off the test rows, too."""
+        means = self.theta.mean(axis=0), self.target.mean(axis=0)
+        pairs = [(self.theta, self.target), *([self.test] if self.test else [])]
+        (theta, target), *test = [(x - means[0], y - means[1]) for x, y in pairs]
+        return replace(self, theta=theta, target=target, test=test[0] if test else None)
+
 
 @contextmanager
 def _refused(path: Path) -> Iterator[None]:
-    """Refuse a file by whatever its reader raises: a damaged one raises anything."""
+    """Turn any exception of a reader into a refusal of the file: it may be damaged."""
     try:
         yield
     except InputError:
@@ -80,50 +95,99 @@ def _refused(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: not readable: {words[:200]}") from None
 
 
-def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
-    """The shapes of the arrays in a NumPy file, read from their headers.
+def _read_arrays(path: Path) -> Data:
+    """The arrays of a NumPy file, bounded before they are unpacked, their shapes in agreement."""
+    with regular_file(path, most=MOST_BYTES) as file, _refused(path):
+        unpacked = sum(member.file_size for member in zipfile.ZipFile(file).infolist())
+        if unpacked > MOST_BYTES:
+            raise InputError(f"{path}: unpacks to {unpacked} bytes: take fewer samples or columns")
+        with np.load(file, allow_pickle=False) as arrays:
+            content = {name: np.asarray(arrays[name]) for name in arrays}
+    for name in ("theta", "target"):
+        if name not in content or not content[name].ndim:
+            there = ", ".join(sorted(content)[:8]) or "nothing"
+            raise InputError(f"{path}: holds no {name}, but {there}: it needs theta and target")
+        if content[name].dtype.kind not in "fiub":
+            kind = content[name].dtype
+            raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
+    theta, truth = content["theta"], content.get("truth")
+    for name, count in (("target", len(theta)), ("groups", theta.shape[-1]),
+                        ("truth", theta.shape[-1])):  # fmt: skip
+        if name in content and content[name].shape[:1] != (count,):
+            words = f"{name} is {content[name].shape} beside a theta of {theta.shape}"
+            raise InputError(f"{path}: {words}: it needs {count} entries")
+    _check_size(path, sum(array.size for array in content.values()))
+    # Weights (k,) or (k, n), or which columns are not zero.
+    used = None if truth is None else (truth.reshape(len(truth), -1) != 0.0).any(axis=1)
+    return Data(theta, content["target"], content.get("groups"), used)
+
+
+def columns_of(path: Path, target: Sequence[str]) -> list[str]:
+    """The names of the columns of theta in a file; of a NumPy file, their numbers.
 
     Raises:
         InputError: if there is no such file, it is too large, holds no theta or target, or
-            anything but plain numbers.
+            anything but numbers.
     """
-    if path.suffix != ".npz":
-        words = "np.savez(FILE, theta=theta, target=target) writes one"
-        raise InputError(f"{path}: must be a file of kind .npz: {words}")
-    shapes, numpy = dict[str, tuple[int, ...]](), np.lib.format
-    whole = regular_file(path, most=MOST_BYTES)
-    with whole as file, _refused(path), zipfile.ZipFile(file) as archive:
-        for member in archive.namelist():
-            with archive.open(member) as stream:
-                first = numpy.read_magic(stream) == (1, 0)
-                read = numpy.read_array_header_1_0 if first else numpy.read_array_header_2_0
-                shape, _, kind = read(stream)
-            name = member.removesuffix(".npy")
-            real = kind.kind in "fiub" or name == "groups"
-            if kind.hasobject or kind.itemsize > 256 or not real:
-                raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
-            shapes[name] = shape
-    if missing := {"theta", "target"} - set(shapes):
-        there = ", ".join(sorted(shapes)[:8]) or "nothing"
-        raise InputError(f"{path}: holds no {min(missing)}, but {there}: it needs both")
-    columns = shapes["theta"][-1:]
-    if not 0 < len(truth := shapes.get("truth", columns)) < 3 or truth[:1] != columns:
-        words = f"truth is {truth}: it needs a value, or a row of them, a column: {columns}"
-        raise InputError(f"{path}: {words}")
-    if (values := sum(map(math.prod, shapes.values()))) > MOST_VALUES:
+    one_of("file type", path.suffix.lower() or path.name, (".npz", ".csv", ".parquet"))
+    if path.suffix.lower() == ".npz":
+        if target:
+            raise InputError(f"{path}: has its target as an array of that name: drop the key")
+        return list(map(str, range(_read_arrays(path).theta.shape[-1])))
+    names, _ = _read_table(path, ())
+    if not all(names) or any(name.startswith("__index") for name in names):
+        raise InputError(f"{path}: a column has no name: name it, or write with index=False")
+    if not target:
+        raise InputError(f'{path}: needs target = "COLUMN": the column that is to be predicted')
+    for name in target:
+        if name not in names:
+            raise InputError(f'{path}: has no column "{name}"{suggestion(name, names)}')
+    if not (others := [name for name in names if name not in target]):
+        raise InputError(f"{path}: has no column beside the target")
+    return others
+
+
+def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
+    """The names of the columns of a table, and those in ``order`` (m, k), read in batches."""
+    import pyarrow
+    from pyarrow import csv, parquet
+
+    real, parts, count = pyarrow.float64(), [np.empty((0, len(order)))], 0
+    with regular_file(path, most=MOST_BYTES) as file, _refused(path):
+        if path.suffix.lower() == ".csv":
+            (names,) = reader([file.readline(LONGEST_LINE).decode("utf-8-sig")])
+            file.seek(0)
+            options = csv.ConvertOptions(column_types=dict.fromkeys(names, real))
+            size = csv.ReadOptions(block_size=LONGEST_LINE)  # which no line is longer than
+            batches = csv.open_csv(file, size, convert_options=options)
+        else:
+            source = parquet.ParquetFile(file)
+            names, batches = source.schema_arrow.names, source.iter_batches()
+        for batch in batches if order else ():
+            count += batch.num_rows * len(names)
+            _check_size(path, count)
+            columns = [batch[name].cast(real).to_numpy(zero_copy_only=False) for name in order]
+            parts.append(np.column_stack(columns))
+    return names, np.concatenate(parts)
+
+
+def _check_size(path: Path, values: int) -> None:
+    """Refuse a file of too many numbers."""
+    if values > MOST_VALUES:
         words = f"holds {values} numbers, more than {MOST_VALUES}"
         raise InputError(f"{path}: {words}: take fewer samples or columns")
-    return shapes
 
 
-def read_data(path: Path) -> Data:
-    """The arrays of a NumPy file. Raises InputError as `shapes_of`."""
-    shapes_of(path)
-    with _refused(path), np.load(path, allow_pickle=False) as arrays:
-        content = {name: np.asarray(arrays[name]) for name in arrays}
-    truth = content.get("truth")  # weights (k,) or (k, n), or which columns are not zero
-    used = None if truth is None else (truth.reshape(len(truth), -1) != 0.0).any(axis=1)
-    return Data(content["theta"], content["target"], content.get("groups"), used)
+def read_data(path: Path, target: Sequence[str] = (), columns: Sequence[str] = ()) -> Data:
+    """The arrays of a file, of a table in the order of ``columns``. Raises as `columns_of`."""
+    if path.suffix.lower() == ".npz":
+        return _read_arrays(path)
+    order = [*(columns or columns_of(path, target)), *target]
+    (_, arrays), count = _read_table(path, order), len(order) - len(target)
+    for row, column in np.argwhere(~np.isfinite(arrays))[:1]:
+        words = "holds no finite number: fill it, or leave the row out"
+        raise InputError(f'{path}: column "{order[column]}" of row {row + 1} {words}')
+    return Data(arrays[:, :count], arrays[:, count:], names=tuple(order[:count]))
 
 
 def digest_of(path: Path) -> str:

@@ -12,7 +12,7 @@ Two of U0, L and tau_w = L/U0 give the third (paper Eq. 14). A study that reads 
     files = ["logs/*.csv"]            # relative to the study file, in order of name
     windows = [432000, 864000]        # [s] each log in pieces of so long; without, the whole of it
 
-Nobody knows the flow of a log: its cases have a status and an estimate, and no error.
+The flow of a log is unknown: its cases have a status and an estimate, and no error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from sparsefit.codec import Place, build, number, only
+from sparsefit.codec import Place, build, number, only, shown
 from sparsefit.errors import positive
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.faults import LogFaults
@@ -237,6 +237,9 @@ class DrawRule:
             listed = items(pair, place)
             if len(listed) != 2:
                 raise place.error(f"{rule} takes two numbers [a, b], not {len(listed)}")
+        elif isinstance(value, list):
+            words = "must be a number, or a rule as { uniform = [2.0, 10.0] }"
+            raise place.error(f"{words}, not {shown(value)}")
         values = tuple(number(item, place) for item in listed)
         for item in values:
             quantity.range.check(item, place, quantity.unit)
@@ -250,7 +253,7 @@ class DrawRule:
     def at(self, flight: int, count: int, stream: np.random.SeedSequence) -> float:
         """The value of flight number `flight` of `count`; `stream` decides a random one.
 
-        One uniform number u in [0, 1) is drawn whatever the rule, so levels of a sweep that
+        One uniform number u in [0, 1) is drawn under every rule, so levels of a sweep that
         differ in their range only share it (common random numbers).
         """
         low, high = self.values[0], self.values[-1]
@@ -341,7 +344,7 @@ class Logged:
     one in the file.
     """
 
-    file: str = field(repr=False)  # wherever it lies, its digest says what was logged
+    file: str = field(repr=False)  # its digest identifies the content
     digest: str
     start: float
     end: float
@@ -394,7 +397,7 @@ def read_logs(section: Section, place: Place) -> Logs:
         vehicle = PointMassVehicle(rules.response_time or math.inf, drag=rules.drag or 0.0)
     pieces = tuple(piece for file in files for piece in _pieces(file, vehicle, rules.windows))
     if not pieces:
-        raise place.at("windows").error("are longer than every log: no flight is left")
+        raise place.at("windows").error("leaves no flight: each piece is longer than every log")
     return Logs(pieces)
 
 

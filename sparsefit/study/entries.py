@@ -29,6 +29,7 @@ from sparsefit.study.measures import (
     of_parameters,
 )
 from sparsefit.study.quantities import QUANTITIES
+from sparsefit.study.schema import Range, key
 from sparsefit.study.solver_times import is_race
 from sparsefit.study.table import Value, plain
 
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Options: TypeAlias = Mapping[str, object]
-MEASURED = ("settings", "protocols", "lines", "ecdf")  # layouts of whatever measures
+MEASURED = ("settings", "protocols", "lines", "ecdf")  # layouts of any measures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +45,9 @@ class Entry:
     """One table or figure that a study asks for.
 
     name: of its file; title, notes: over and under it; measure: names of measures, each alone or
-    behind a summary; compare: its layout; rows: the columns of the frame that tell rows, or panels,
-    apart; along: a swept factor, the columns of a table or the axis of a picture.
-    columns, lines: what tells the columns of panels and the lines of a picture apart.
+    behind a summary; compare: its layout; rows: the columns of the frame by which rows, or panels,
+    differ; along: a swept factor, the columns of a table or the axis of a picture.
+    columns, lines: the column of the frame by which columns of panels, and lines, differ.
     limits: values that a measure is held against; interval: whether summaries have a 95 % interval
     over flights beside them.
     """
@@ -62,6 +63,7 @@ class Entry:
     lines: str = "title"
     limits: tuple[float, ...] = ()
     interval: bool = False
+    width: float = key("Width of a figure.", 7.0, Range(least=2.0, most=50.0), "in")
 
     @property
     def measures(self) -> list[Measure]:
@@ -157,7 +159,7 @@ def asked(
     An entry whose name is shipped, or declared by the study in full, starts from that.
 
     Args:
-        kind: `table` or `figure`; layouts: the names of those that there are.
+        kind: `table` or `figure`; layouts: their names.
         names: those that are asked for, else those that the study declares, else of those that
             ship all that have something to say of these cases.
 
@@ -180,7 +182,9 @@ def asked(
         if "/" in name or "\\" in name or name.startswith("."):
             raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
         given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry
-        start = {key: value for key, value in named.get(name, {}).items() if key != "needs"}
+        start = {
+            option: value for option, value in named.get(name, {}).items() if option != "needs"
+        }
         if given.get("compare", start.get("compare")) != start.get("compare"):
             start = {}  # another layout under the name of a shipped one
         read = build(Entry, {**start, **given}, Place(f"the {kind}"))
@@ -218,8 +222,8 @@ def grouped(
 
     keys = [cases[name].to_numpy() for name in names] or [np.zeros(len(cases))]
     places = pd.Series(np.arange(len(cases)))
-    for key, own in places.groupby(keys, sort=False, dropna=False):
-        yield tuple(map(plain, key if names else ())), own.to_numpy()
+    for level, own in places.groupby(keys, sort=False, dropna=False):
+        yield tuple(map(plain, level if names else ())), own.to_numpy()
 
 
 def level_text(level: Value) -> str:

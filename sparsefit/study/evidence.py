@@ -1,4 +1,4 @@
-"""The evidence of a selection: its tables and picture, and its files."""
+"""The evidence of a selection: its tables, its figure, and the files written."""
 
 from __future__ import annotations
 
@@ -26,28 +26,31 @@ if TYPE_CHECKING:
 
 
 def tables(selection: Selection) -> dict[str, Table]:
-    """Return the tables of candidates, of regimes, and where it was measured of latency."""
+    """Return the tables of candidates and regimes and, if measured, of latency."""
     criterion, study = selection.criterion, selection.study
     unit, least = criterion.measure.unit, criterion.measure.least
     score: dict[str, Any] = {"unit": unit, "least": least}
     candidates, regimes, times = list[Row](), list[Row](), list[Row]()
+    is_split = len(selection.units) > 1
     for each in sorted(selection.ranked, key=lambda each: each is not selection.chosen):
         apart, said = each.apart, verdict(selection, each)
         candidates.append((
-            str(len(candidates) + 1), each.title, said, each.evaluate, *each.between, each.validate,
+            str(len(candidates) + 1), each.title, said, each.evaluate, *each.between,
+            *[each.validate] * is_split,
             *((None,) * 3 if apart is None else (apart.effect, apart.low, apart.high)),
         ))  # fmt: skip
         regimes.append((each.title, said, *each.by_regime.tolist(), each.evaluate))
         if seen := selection.latencies.get(each.candidate):
             times.append((each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"],
                           100.0 * seen["busy"]))  # fmt: skip
-    candidates += [("–", title, f"not on board: {why}", *(None,) * 7)
+    candidates += [("–", title, f"not on board: {why}", *(None,) * (6 + is_split))
                    for title, why in selection.refused.items()]  # fmt: skip
+    first, last = ("validate", "evaluate") if is_split else ("difference", "score")
     heads = (
         *map(Column, ("rank", "candidate", "verdict")),
-        *(Column(name, group="evaluate", **score) for name in ("criterion", "from", "to")),
-        Column("criterion", group="validate", **score),
-        *(Column(name, unit, group="validate") for name in ("worse by", "from", "to")),
+        *(Column(name, group=last, **score) for name in ("criterion", "from", "to")),
+        *[Column("criterion", group=first, **score)] * is_split,
+        *(Column(name, unit, group=first) for name in ("worse by", "from", "to")),
     )
     latency = (("median", "ms", ""), ("99th percentile", "ms", ""), ("peak memory", "MB", ".0f"),
                ("disturbed", "%", ".0f"))  # fmt: skip
@@ -71,7 +74,7 @@ def tables(selection: Selection) -> dict[str, Table]:
 
 
 def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
-    """Return the selection as JSON has it."""
+    """Return the selection for JSON."""
     made, chosen, cases = tables(selection), selection.chosen, selection.cases
     of: dict[str, Any] = {
         "study": selection.study, "rule": asdict(selection.rule),
@@ -101,7 +104,7 @@ def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
 
 
 def provenance(study: Any, selection: Selection) -> dict[str, Any]:
-    """Return what an estimator comes from: the study, the rule, and the evidence."""
+    """Return the origin of an estimator for its file: study, rule and evidence."""
     if selection.chosen is None:
         return {}
     of = record(selection)
@@ -111,7 +114,7 @@ def provenance(study: Any, selection: Selection) -> dict[str, Any]:
 
 
 def pareto(selection: Selection) -> Picture:
-    """Return accuracy against latency of all candidates that were timed, with their front."""
+    """Return the figure of accuracy against latency of the timed candidates, with their front."""
     criterion = selection.criterion
     timed = [
         (each, 1e3 * seen["median"], 1e3 * seen["p99"]) for each in selection.ranked
@@ -145,7 +148,8 @@ def pareto(selection: Selection) -> Picture:
 
     caption = (
         "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
-        "percentile. Ringed: the chosen; dashed: the front of those that keep every constraint."
+        "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
+        "constraint."
     )
     return Picture(draw(), caption if timed else "No candidate was timed.")
 
@@ -153,7 +157,7 @@ def pareto(selection: Selection) -> Picture:
 def write_selection(
     study: Any, selection: Selection, folder: Path | None = None, check: Check | None = None
 ) -> list[Path]:
-    """Write the tables and pictures of a selection, evidence.html and evidence.md, the last."""
+    """Write the tables and the figure of a selection, evidence.html and evidence.md, the last."""
     said, made, picture = list(lines(selection, check)), tables(selection), pareto(selection)
     answer, title = headline(selection), f"{study.name}: the selection"
     files = files_of(study.name, made, {"pareto": picture})
@@ -161,7 +165,7 @@ def write_selection(
         "Why": [said],
         "Candidates": [made["selection"]],
         "Accuracy and latency": [drawing("pareto", picture, files.get("pareto.svg", b"")),
-                                 *(made[name] for name in made if name == "latency")],
+                                 made["latency"]] if "latency" in made else [],
         "Regimes": [made["regimes"],
                     Code("The rule", json.dumps(asdict(selection.rule), indent=1))],
     }  # fmt: skip

@@ -1,8 +1,8 @@
-"""The figures of a study: three kinds of picture over one frame of cases, in panels by its columns.
+"""The figures of a study: three kinds of figure of the cases, in panels by columns of the frame.
 
-`lines`: measures along a factor; `ecdf`: the share of cases with at most so much; `scatter`:
-estimated against true. A legend names what is drawn: curves that coincide are one, and where there
-are more than a legend takes, the rest are grey. A picture without a mark is a sentence.
+`lines`: measures along a factor; `ecdf`: distribution functions; `scatter`: estimated against true.
+Curves that coincide have one entry in the legend; curves beyond its length are grey. A figure
+without data is replaced by a sentence.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
 
 
 class Picture(NamedTuple):
-    """A figure with its caption; without a figure the caption says why there is none."""
+    """A figure with its caption; without a figure, the caption gives the reason."""
 
     figure: Figure | None
     caption: str
 
 
 def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArray]]]:
-    """Return the words of row and column, and the places of the cases, of each panel.
+    """Return the labels of row and column, and the indices of the cases, of each panel.
 
-    A row of panels is a group of `rows`, six at most, a column a level of `columns`.
+    The rows of panels are the groups of `rows`, at most six, the columns the levels of `columns`.
     """
     names = [entry.lines, *entry.rows, *filter(None, [entry.columns])]
     entries.check_columns(cases, names, "the figure")
@@ -63,7 +63,7 @@ def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArr
 
 
 def _curves(entry: Entry, cases: pd.DataFrame, places: IntArray) -> list[tuple[str, IntArray]]:
-    """Return the name of each line of a panel, and the places of its cases."""
+    """Return the name of each line of a panel, and the indices of its cases."""
     here = cases.iloc[places]
     return [(str(name), places[at]) for (name,), at in grouped(here, [entry.lines])]
 
@@ -71,8 +71,8 @@ def _curves(entry: Entry, cases: pd.DataFrame, places: IntArray) -> list[tuple[s
 def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
     """Draw measures along a factor, a line per value of `lines`, a row of panels per measure.
 
-    Without `along` every swept number is an axis; `columns`: a factor with a column of panels per
-    level; `rows`: one with a row per level. What is neither is pooled.
+    Without `along`, every swept numeric factor is an axis. Levels of `columns` and `rows` have
+    their own panels; all other factors are pooled.
     """
     from pandas.api.types import is_numeric_dtype
 
@@ -107,7 +107,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
                     )
                     for level, title, places in row
                 ])  # fmt: skip
-    grid = grid[:6]  # rows of panels: with more nobody reads a picture
+    grid = grid[:6]  # rows of panels
     means = {curve.name: float(np.nanmean(curve.y)) for row in grid[:1] for curve in row[0].curves
              if np.isfinite(curve.y).any()}  # fmt: skip
     slanted = 0.0 if all(isinstance(row[0].levels, np.ndarray) for row in grid) else 0.7
@@ -115,7 +115,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
 
 
 def _along(name: str, each: Measure, values: Array, codes: IntArray, x: Array) -> Curve:
-    """Return the summaries of a line's values at every level, shares with Wilson's interval."""
+    """Return a curve of the summaries at every level, with Wilson intervals of shares."""
     groups = [values[(codes == level) & ~np.isnan(values)] for level in range(len(x))]
     y = np.array([each.summary_of(here) if here.size else np.nan for here in groups])
     y[~np.isfinite(y)] = np.nan
@@ -126,9 +126,9 @@ def _along(name: str, each: Measure, values: Array, codes: IntArray, x: Array) -
 
 
 def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
-    """Draw the share of cases with at most so much of each measure, failures in the share.
+    """Draw the distribution function of the size of each measure over all cases, failures included.
 
-    Each axis ends where a tenth of the sizes lies beyond it.
+    Each axis ends at the 90 % quantile of the sizes.
     """
     grid, kind = list[list[Panel]](), "problems" if "objective" in cases else "cases"
     for row in _grid(entry, cases):
@@ -140,7 +140,7 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
             low, high = np.quantile(finite, (0.01, 0.9)).tolist() if finite.size else (1.0, 1.0)
             low, log = max(low, least), "x"
             ends = low / 1.5, max(1.5 * high, 10.0 * low)
-            if each.name == "ratio":  # from the fastest on
+            if each.name == "ratio":  # 1: the fastest
                 ends = 1.0, max(1.5 * float(finite.max(initial=1.0)), 10.0)
             elif finite.size and (each.more or finite.max() <= LOG_RANGE * finite.min()):
                 room = 0.05 * float(np.ptp(finite)) or 0.1 * high
@@ -149,7 +149,7 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
                 sizes = np.sort(values[at])
                 sizes = sizes[np.isfinite(sizes)]
                 share = 100.0 * np.arange(1, sizes.size + 1) / len(at)
-                if sizes.size > 200:  # an eye sees no more
+                if sizes.size > 200:  # enough for a figure
                     seen = np.linspace(0, sizes.size - 1, 200).astype(int)
                     sizes, share = sizes[seen], share[seen]
                 if sizes.size:
@@ -168,7 +168,7 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
 
 
 def best_titles(cases: pd.DataFrame) -> list[str]:
-    """Return the title of least median of the largest error in each reading, four at most."""
+    """Return the title with the least median of the largest error in each reading, at most four."""
     each, best = measure("largest-error"), dict[str, None]()
     values = each.values(cases)
     for _, places in grouped(cases, ["reading" if "reading" in cases else "protocol"]):
@@ -181,9 +181,9 @@ def best_titles(cases: pd.DataFrame) -> list[str]:
 
 
 def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
-    """Draw estimated against true parameters, of the best candidate of each reading.
+    """Draw estimated against true parameters of the best candidate of each reading.
 
-    Colours are conditions. What lies outside of the frame is drawn on its edge, and counted.
+    Colours are conditions. Points outside the axes are drawn on their edge, and counted.
     """
     flown = cases[measures.in_flow(cases)]
     if flown["condition"].nunique() > len(COLOURS):
@@ -193,17 +193,10 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
          for at, name in enumerate(PARAMETERS)]
         for title in (best_titles(flown) if answered(flown).any() else ())
     ]  # fmt: skip
-    figure = drawn(grid, 0.5 + 2.0 * len(grid)) if grid else None
+    figure = drawn(grid, 0.6 + 1.8 * len(grid)) if grid else None
     for axes in figure.axes if figure else ():
         axes.plot([0, 1], [0, 1], color=GREY, lw=0.8, zorder=1, transform=axes.transAxes)
-        axes.set_box_aspect(1.0)
         axes.set_title(axes.get_title(), fontsize=6.5, color=GREY)
-    if figure and (layout := figure.get_layout_engine()):  # squares leave no room above them
-        layout.execute(figure)
-        height = figure.get_figheight()
-        spare = [height * axes.get_position(original=True).height - box.height / figure.dpi
-                 for axes in figure.axes if (box := axes.get_tightbbox())]  # fmt: skip
-        figure.set_figheight(height - len(grid) * max(min(spare), 0.0))
     return figure
 
 
@@ -248,7 +241,7 @@ def figure(study: Any, entry: str | Options) -> Figure:
     """Return the figure that an entry asks for, of the cases of a study.
 
     Raises:
-        InputError: for what is unknown, or where there is no mark to draw.
+        InputError: for an unknown name, or if no case has data for the figure.
     """
     (picture,) = figures(study, study.cases, [entry]).values()
     if picture.figure is None:
@@ -259,7 +252,7 @@ def figure(study: Any, entry: str | Options) -> Figure:
 def figures(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Picture]:
-    """Return pictures by file name: these, or those that a study asks for, or all that fit."""
+    """Return figures by file name: those named, else those of [outputs], else all that apply."""
     from matplotlib.figure import Figure
 
     every: dict[str, Picture] = {}
@@ -268,14 +261,14 @@ def figures(
             made: Figure = styled(entry)(cases, Figure)
             every[name] = Picture(made, sentence(name.replace("_", " ")))
             continue
-        drawing = styled(LAYOUTS[entry.compare or "settings"])(entry, cases)
+        drawing = styled(LAYOUTS[entry.compare or "settings"], entry.width)(entry, cases)
         if drawing is None:
             words = ", ".join(each.words for each in entry.measures) or "an answer"
             every[name] = Picture(None, f"{name}: nothing to draw, no case has {words}.")
             continue
         shown = in_words(entry.measures, of_cases=entry.compare == "ecdf")
         if entry.compare == "ecdf":
-            shown = f"Share of planned cases, failures among them, with at most so much: {shown}"
+            shown = f"Distribution functions of all planned cases, failures included: {shown}"
         bars = ("Bars: 95 % Wilson intervals",) * any(axes.collections for axes in drawing.axes)
         caption = " ".join(map(sentence, (entry.title or shown, *entry.notes, *bars)))
         every[name] = Picture(drawing, caption)

@@ -1,4 +1,4 @@
-"""The worker's side of a study of flights: a flight, its library, its fits, made once and shared.
+"""A study of flights, worker side: flights, regression problems and fits, shared between cases.
 
     fly      simulate the flights of a unit, or read them from a log
     prepare  build the library of the cells of one regression problem
@@ -6,8 +6,8 @@
 
 A row is (cell, status, reason, values). To time an estimate there are
 
-    ready    fly the flight of a unit, on a core of its own; answers with the memory so far
-    estimate it, from its record to the answer
+    ready    simulate or read the flight, pinned to one core; returns the peak memory so far
+    estimate the flow from the flight's log, all steps
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import numpy as np
 
 from sparsefit import Estimator, Library, PointMassVehicle, backends
 from sparsefit.errors import InputError, one_line
-from sparsefit.estimator.estimate import Estimate, ScaleEstimate
+from sparsefit.estimator.estimate import Estimate
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells, CellularFlow
 from sparsefit.likelihood import Disturbance, FlightLog, Model, StreamPattern, bound
@@ -37,21 +37,19 @@ from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.regression.fit import path
 from sparsefit.score import prediction_error, score, score_scales, strongest
 from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, values_of
-from sparsefit.study.crossing import Cell
-from sparsefit.study.definition import Definition
+from sparsefit.study.crossing import ALPHA, Cell
 from sparsefit.study.draw import SIMULATION, Draw, FlightRules, Logged, Logs, stream
-from sparsefit.study.worker import resident
-
-ALPHA = "alpha_fraction"
+from sparsefit.study.plan import Definition
+from sparsefit.study.worker import peak_memory
 
 
 @dataclass(frozen=True)
 class Flown:
-    """The flights of a unit in a condition, without their flow, and how they are judged.
+    """The flights of a unit in a condition, without their flow, and what they are scored by.
 
     The truth enters at the score and nowhere before. extent [m]: of the flights together; bounds:
-    the least standard deviations of U0 [m/s], L [m] and tau_w [s]; none where none is known.
-    others: flights through the same flow, along which it is predicted.
+    Cramér-Rao bounds of U0 [m/s], L [m] and tau_w [s], empty where there are none. others: flights
+    through the same flow, on which its prediction is scored.
     """
 
     draw: Draw | Logged
@@ -63,7 +61,7 @@ class Flown:
 
 @dataclass(frozen=True)
 class Reading:
-    """A case that was read, with all that its columns are read from."""
+    """The estimate of a case, and what else its columns are computed from."""
 
     estimate: Estimate
     fit: Fit
@@ -72,7 +70,7 @@ class Reading:
 
     @cached_property
     def values(self) -> dict[str, Value]:
-        """The columns of `cases.parquet` that are read from the case, by name."""
+        """The values of the columns of `cases.parquet` that have a path, by name."""
         return values_of(self)
 
     @property
@@ -83,7 +81,7 @@ class Reading:
 
     @cached_property
     def scale_sets(self) -> dict[str, Any]:
-        """The set of scales held against the true one; empty where one flow was read as one.
+        """The estimated scales compared with the true ones; empty of one scale estimated as one.
 
         Each is listed as JSON, [[L [m], U0 [m/s]], ...], to seven digits. A readout of one scale on
         superposed flows counts as the set of that scale.
@@ -91,18 +89,16 @@ class Reading:
         estimate, flow = self.estimate, self.flown.draw.flow
         if flow is None or (len(flow.cells) == 1 and not estimate.scales):
             return {}
-        scales = estimate.scales
+        scales: Any = estimate.scales
         if not scales and math.isfinite(estimate.length_scale + estimate.mean_velocity):
-            numbers = (estimate.mean_velocity, estimate.length_scale, estimate.timescale)
-            scales = (ScaleEstimate(*numbers, estimate.grid_length_scale),)
-        told: dict[str, Any] = {"score": score_scales(scales, flow)}
-        told["within_1_percent"] = told["score"].within(1.0)
-        both: Any = (("true", flow.cells), ("estimated", scales))
-        for name, listed in both:
+            scales = (estimate,)
+        result: dict[str, Any] = {"score": score_scales(scales, flow)}
+        result["within_1_percent"] = result["score"].within(1.0)
+        for name, listed in (("true", flow.cells), ("estimated", scales)):
             pairs = [(scale.length_scale, scale.mean_velocity) for scale in listed]
             rounded = [[float(f"{value:.7g}") for value in pair] for pair in pairs]
-            told[name] = json.dumps(rounded, separators=(",", ":"))
-        return told
+            result[name] = json.dumps(rounded, separators=(",", ":"))
+        return result
 
     @property
     def prediction_error(self) -> float | None:
@@ -114,9 +110,9 @@ class Reading:
 def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     """The Cramér-Rao bounds of U0 [m/s], L [m] and tau_w [s] of flights together under Eq. 7.
 
-    Bounds are those of trajectories that are known, with noise on v' alone: there are none
-    without process noise, with noise of position or velocity, without a single cellular flow, or
-    where the flights do not see all of it.
+    They assume exact trajectories and white noise on v' alone. Empty without process noise, with
+    noise of position or velocity, of any but a single cellular flow, or where the flights do not
+    determine all its parameters.
     """
     noise, flow = draw.values.get("process_noise", 0.0), draw.flow
     measured = any(draw.values.get(name, 0.0) > 0 for name in ("position_noise", "velocity_noise"))
@@ -130,7 +126,7 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     pattern, models = StreamPattern.of_waves("axis", waves, cosine, np.zeros(2)), []
     for flown in fleet:
         density = noise * math.sqrt(flown.duration / (flown.samples - 1))  # [m/s^2/sqrt(Hz)]
-        noises = Disturbance(density, 1e-6 * scale, 1e-6 * speed)  # what is known has none
+        noises = Disturbance(density, 1e-6 * scale, 1e-6 * speed)  # exact trajectories, almost
         model = Model.of_flight(pattern, flown, draw.vehicle, (0.0, 0.0))
         models.append(replace(model, disturbance=noises))
     states = [np.hstack([flown.position, flown.velocity]) for flown in fleet]
@@ -146,30 +142,19 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
 
 
 def estimator_of(definition: Definition, cell: Cell) -> Estimator:
-    """The estimator of a cell: how it derives, fits and reads, to the study's tolerance."""
+    """The estimator of a cell: derivative, library, back-end and readout, the study's tolerance."""
     estimator = Estimator(
         derivative=cell.setup.derivative,
         library=cell.setup.library,
-        backend=backends.get(cell.choice.name, **cell.settings),
+        backend=backends.get(cell.backend.name, **cell.backend.settings),
         readout=cell.setup.readout,
         tolerance=definition.rules.tolerance,
     )
     return as_flown(estimator) if definition.on_board else estimator
 
 
-def path_fractions(cell: Cell) -> tuple[float, ...]:
-    """The whole grid of penalties of a [[backends]] entry that walks one path; else none.
-
-    All of it, whatever is left to do of it: a resumed run repeats the path.
-    """
-    grid = [value for value in cell.choice.grid.get(ALPHA, ()) if value != "auto"]
-    # With "auto" a back-end walks a path of its own.
-    walks = cell.walks and cell.settings.get(ALPHA) != "auto" and len(grid) > 1
-    return tuple(map(float, grid)) if walks else ()
-
-
 def fly(definition: Definition, unit: int, rules: FlightRules | Logs) -> Flown:
-    """Simulate, or read from its log, what the cells of one condition share."""
+    """Simulate the flights that the cells of one condition share, or read them from a log."""
     draw = rules.draw(unit, definition.flights.count, definition.seed)
     seed = stream(definition.seed, unit, SIMULATION)
     fleet = draw.fleet(seed)
@@ -182,7 +167,7 @@ def fly(definition: Definition, unit: int, rules: FlightRules | Logs) -> Flown:
 
 
 def truth_of(draw: Draw | Logged) -> dict[str, Value]:
-    """The columns of the true flow, the fastest of several; few of still air, none of a log."""
+    """The columns of the true flow (of several, the strongest); of a log its name alone."""
     if isinstance(draw, Logged):
         return {"flow": "unknown", "log": draw.label}
     if draw.flow is None:
@@ -196,10 +181,10 @@ def truth_of(draw: Draw | Logged) -> dict[str, Value]:
 
 
 class FlightDesk:
-    """Answers for the cells of one flight after the other; what a step raises is its answer.
+    """Computes cases, one flight after the other.
 
-    Flights, regression problems and fits are kept while cells share them. A process that takes
-    over from a lost one makes them again.
+    The last flight and regression problem are kept for the cells that share them; a worker that
+    replaces a lost one computes them again.
     """
 
     def __init__(self, definition: Definition) -> None:
@@ -207,21 +192,21 @@ class FlightDesk:
         self._estimators: dict[int, Estimator] = {}
         self._flown: tuple[Any, Any] = (None, None)  # which, and the flights
         self._prepared: tuple[Any, Any] = (None, None)  # which, and the regression problem
-        # What is imported at first use is imported now, so that no case is charged for it.
+        # Imports at first use are made now, outside the time of any case.
         vehicle = PointMassVehicle(0.5, (5.0, 3.0))
         flight = simulate_flight(None, vehicle, duration=1.0, sample_rate=20.0, seed=0)
         Estimator(library=Library(LengthScaleGrid(3.0, 5.0, 1.0))).estimate(flight)
 
     def fly(self, unit: int, cells: Sequence[int]) -> None:
-        """Have the flights of a unit in the condition of these cells."""
+        """Simulate or read the flights of a unit in the condition of these cells."""
         key = (unit, self._definition.flights.cells[cells[0]].setup.flights)
         if self._flown[0] != key:
             self._flown = self._prepared = (None, None)
-            gc.collect()  # what a flight has left is not charged to the next
+            gc.collect()  # garbage of a flight is not collected in the time of the next
             self._flown = (key, fly(self._definition, *key))
 
     def prepare(self, unit: int, cells: Sequence[int]) -> None:
-        """Have the regression problem that these cells share."""
+        """Build the regression problem that these cells share."""
         self.fly(unit, cells)
         setup = self._definition.flights.cells[cells[0]].setup
         key = (setup.derivative, setup.library, setup.online)
@@ -247,35 +232,29 @@ class FlightDesk:
         return {"rows": rows}
 
     def readings(self, unit: int, cells: Sequence[int]) -> Iterator[tuple[int, Reading]]:
-        """Each of these cells, read."""
+        """The estimate of each of these cells, by its index."""
         self.prepare(unit, cells)
         flown, prepared = self._flown[1], self._prepared[1]
         first, problem = self._estimator(cells[0]), prepared.problem
-        if (
-            fractions := path_fractions(self._definition.flights.cells[cells[0]])
-            if len(cells) > 1
-            else ()
-        ):
+        points = [self._definition.flights.cells[index].backend for index in cells]
+        if len(cells) > 1 and (fractions := points[0].fractions):
             backend: Any = first.backend
             walked = path(problem, backend, fractions, tolerance=first.tolerance).fits
             fit_of = dict(zip(fractions, walked, strict=True))
-            fits = [
-                fit_of[float(self._definition.flights.cells[index].settings[ALPHA])]
-                for index in cells
-            ]
+            fits = [fit_of[float(point.settings[ALPHA])] for point in points]
         else:  # one fit, read in several ways
             fits = [first.fit(prepared)] * len(cells)
         for index, fit in zip(cells, fits, strict=True):
             yield index, Reading(self._estimator(index).read(prepared, fit), fit, problem, flown)
 
     def ready(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
-        """Have a core of its own, and the flight; the memory [MB] so far."""
+        """Pin the process to one core and have the flight; the peak memory [MB] so far."""
         self.fly(unit, cells)
         if hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-        return {"memory": resident()}
+        return {"memory": peak_memory()}
 
     def estimate(self, unit: int, cells: Sequence[int]) -> None:
-        """Estimate from the record of the flight; a refusal takes its time too."""
+        """Estimate the flow from the log; an estimate that raises is timed as well."""
         with suppress(Exception):
             self._estimator(cells[0]).estimate(self._flown[1].fleet)

@@ -1,8 +1,8 @@
 """The experiment with flights: units are flights, candidates are readings with their back-ends.
 
-A case flies a flight in a condition, fits it and reads it. Cells of one unit share the flight, the
-library and the path of penalties where these are equal, and a back-end of others has a worker of
-its own, so that what it does to its process reaches nobody else's rows.
+A case simulates a flight in a condition, or reads one from a log, and estimates its flow. Cells of
+one unit share the flight, the library and the path of penalties where these are equal. A back-end
+of another package runs in a worker of its own, where it cannot change the rows of others.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ import json
 import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,15 @@ from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
-from sparsefit.study.crossing import Cell, FlightDesign, Protocols, named
-from sparsefit.study.flight_desk import ALPHA, FlightDesk, path_fractions, truth_of
+from sparsefit.study.crossing import ALPHA, Cell, FlightDesign, Protocols, named
+from sparsefit.study.draw import Logged, Logs
+from sparsefit.study.flight_desk import FlightDesk, truth_of
 from sparsefit.study.manifest import code_version
-from sparsefit.study.plan import Asking, Batch, Experiment, telling
+from sparsefit.study.plan import Batch, Experiment, telling
 from sparsefit.study.schema import canonical_json, digest, numbered
-from sparsefit.study.worker import Answer, Ask
+from sparsefit.study.worker import Answer, Crew, NoAnswerError
 
-AS_SAID = "as the study says"
+UNCHANGED = "unchanged flights"  # the condition of a protocol that sets no key of the flights
 BATCH, PROBLEM, FIT = range(3)  # what cells share
 WORK = {"fly": "simulating the flight", "prepare": "building the library", "cases": "fitting"}
 
@@ -46,14 +48,22 @@ class FlightExperiment(Experiment):
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
-        """The flights, which are known by their numbers."""
-        count = self.design.count
+        """The flights: simulated ones are known by their numbers, logged ones by their content."""
+        count, pieces = self.design.count, self._pieces
         return {
             "flight": list(range(count)),
             "unit": [f"{number:04d}" for number in range(count)],
             "split": [self.design.split(number) for number in range(count)],
-            "identity": [""] * count,
+            "identity": numbered(digest(repr(piece)) for piece in pieces) or [""] * count,
+            **({"log": [piece.label for piece in pieces]} if pieces else {}),
         }
+
+    @cached_property
+    def _pieces(self) -> tuple[Logged, ...]:
+        """The pieces of logs that every cell flies; none where flights are simulated."""
+        flights = {cell.setup.flights for cell in self.design.cells}
+        logs = flights.pop()
+        return logs.pieces if isinstance(logs, Logs) and not flights else ()
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
@@ -67,7 +77,7 @@ class FlightExperiment(Experiment):
             levels = [level_words(k, v) for k, v in cell.levels.items() if k not in own]
             world, reading = worlds[cell.protocol], readings[cell.protocol]
             conditions.append(", ".join(filter(None, (world, *levels))))
-            fitted = (cell.choice.name, cell.choice.label, cell.canonical_settings)
+            fitted = (cell.backend.name, cell.backend.label, cell.backend.canonical_settings)
             candidates.append(digest(canonical_json([reading, own, *fitted]))[:12])
             chosen = ", ".join(level_words(k, v) for k, v in own.items())
             aspects.append((reading, words[fitted], chosen))
@@ -79,9 +89,9 @@ class FlightExperiment(Experiment):
             "world": [worlds[cell.protocol] for cell in cells],
             "reading": [readings[cell.protocol] for cell in cells],
             "protocol": [cell.protocol for cell in cells],
-            "backend": [cell.choice.name for cell in cells],
-            "settings": [cell.canonical_settings for cell in cells],
-            "label": [cell.choice.label for cell in cells],
+            "backend": [cell.backend.name for cell in cells],
+            "settings": [cell.backend.canonical_settings for cell in cells],
+            "label": [cell.backend.label for cell in cells],
             **{key: self._levels(key) for key in self.factors()},
             "identity": numbered(map(self._identity, cells)),
         }
@@ -101,13 +111,15 @@ class FlightExperiment(Experiment):
     def _identity(self, cell: Cell) -> str:
         """A hash of all that determines the numbers of a cell, whatever study asks for it.
 
-        That is how it is flown, derived, fitted and read, to which tolerance: not the names that
-        a study gives to these, nor what else it plans.
+        That is the flights, the estimator and its tolerance, but neither the names that a study
+        gives to these nor its other cells.
         """
-        definition, setup = self.definition, repr(cell.setup)
+        own = replace(cell.setup, flights=Logs(())) if self._pieces else cell.setup
+        definition, setup = self.definition, repr(own)
         count = self.design.count if "linspace" in setup else 0  # a rule that spaces flights
         run = (definition.seed, definition.rules.tolerance, definition.rules.prediction_flights)
-        content = (*run, definition.on_board, count, setup, cell.choice.name, cell.own_settings)
+        backend = (cell.backend.name, cell.backend.own_settings)
+        content = (*run, definition.on_board, count, setup, *backend)
         return digest("\n".join(map(str, content)))
 
     def factors(self) -> dict[str, str]:
@@ -117,11 +129,11 @@ class FlightExperiment(Experiment):
         return {key: "condition" if _of_flight(key) else "candidate" for key in every}
 
     def case_id(self, unit: int, cell: int) -> str:
-        """The number of the flight and the key of the cell: `0007-3f9c0d6a41b2e857`."""
+        """The flight's number and the cell's key: `0007-3f9c0d6a41b2e857`."""
         return f"{unit:04d}-{self.design.cells[cell].key}"
 
     def version(self, cell: int) -> str:
-        return code_version(backends.distribution(self.design.cells[cell].choice.name))
+        return code_version(backends.distribution(self.design.cells[cell].backend.name))
 
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
         rules, design = self.design.cells[cell].setup.flights, self.design
@@ -132,27 +144,29 @@ class FlightExperiment(Experiment):
 
     @cached_property
     def _shared(self) -> list[list[int]]:
-        """The numbers of the batch, problem and fit that each cell shares with others.
+        """The numbers of the batch, the regression problem and the fit that each cell belongs to.
 
-        A batch is of a condition and a desk, so that nothing is simulated twice; a fit is one, or
-        those of a path over penalties.
+        A batch has one condition and one desk, so that no flight is simulated twice. A fit is a
+        single one, or a path of penalties.
         """
         numbers: dict[object, int] = {}
         shared = []
         for cell in self.design.cells:
-            setup, along = cell.setup, {ALPHA} if path_fractions(cell) else set()
-            others = canonical_json({k: v for k, v in cell.settings.items() if k not in along})
+            setup, backend = cell.setup, cell.backend
+            along = {ALPHA} if backend.fractions else set()
+            others = {k: v for k, v in backend.settings.items() if k not in along}
+            fit = (backend.name, backend.fractions, canonical_json(others))
             problem = (setup.flights, setup.derivative, setup.library, setup.online)
-            keys = ((setup.flights, self._desk_of(cell)), problem, (problem, cell.choice, others))
+            keys = ((setup.flights, self._desk_of(cell)), problem, (problem, fit))
             shared.append([numbers.setdefault(key, len(numbers)) for key in keys])
         return shared
 
     def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
-        """All of a flight's steps; back-ends of others have a process of their own."""
+        """The desk of flights, in a process of its own for each back-end of another package."""
         return FlightDesk, (self.definition,)
 
     def _desk_of(self, cell: Cell) -> str:
-        name = cell.choice.name
+        name = cell.backend.name
         return "flights" if name in backends.BACKENDS else f"back-end {name}"
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
@@ -160,42 +174,43 @@ class FlightExperiment(Experiment):
             for cells in self._split(np.flatnonzero(row).tolist(), BATCH):
                 yield Batch(unit, tuple(cells))
 
-    def run(self, batch: Batch) -> Asking[None]:
-        """Fly, prepare each library, then fit and read; a step that is lost costs its own cells.
+    def run(self, batches: Iterator[Batch], crew: Crew) -> Iterator[list[Outcome]]:
+        return chain.from_iterable(self._flown(batch, crew) for batch in batches)
 
-        A path that is lost is tried fit by fit: the blame belongs to one of them.
+    def _flown(self, batch: Batch, crew: Crew) -> Iterator[list[Outcome]]:
+        """Simulate, build each library, then fit and read; a failed step ends its own cells only.
+
+        Where a path of several fits fails, each is tried alone. A step that several cells share
+        is tried again after a crash, which may have come from outside.
         """
-        steps = deque([("fly", list(batch.cells))])
+        steps = deque([("fly", list(batch.cells), 2)])
         for group in self._split(batch.cells, PROBLEM):
-            steps += [("prepare", group), *(("cases", fit) for fit in self._split(group, FIT))]
+            steps.append(("prepare", group, 2))
+            steps += [("cases", fit, 1) for fit in self._split(group, FIT)]
         ended: set[int] = set()
         while steps:
-            verb, cells = steps.popleft()
+            verb, cells, tries = steps.popleft()
             if cells[0] in ended:
                 continue
             fits, cell = 1, self.design.cells[cells[0]]
             if verb == "cases" and len(cells) > 1:
-                fits = max(len(path_fractions(cell)), 1) + len(cells) - 1
+                fits = max(len(cell.backend.fractions), 1) + len(cells) - 1
             limit = self.definition.rules.case_timeout * fits
             content = {"unit": batch.unit, "cells": cells}
-            ask = Ask(verb, content, limit, self._desk_of(cell))
-            answer: Answer = yield ask
-            if answer.status == "crashed" and verb != "cases":  # from outside, maybe
-                answer = yield ask
-            if answer.status == "ok" and verb == "cases":
-                try:
-                    yield from self._outcomes(batch.unit, cells, answer)
-                except (ValueError, TypeError, LookupError, RecursionError) as error:
-                    reason = f"the worker process told no outcome: {error}"
-                    answer = Answer("crashed", reason[:200])
-            if answer.status != "ok" and verb == "cases" and len(cells) > 1:
-                steps.extendleft((verb, [cell]) for cell in reversed(cells))
-            elif answer.status != "ok":
-                reason = answer.words(WORK[verb])
-                for own in cells:
-                    truth = self.truth(batch.unit, own)
-                    yield Outcome(batch.unit, own, answer.status, reason, truth)
-                ended |= set(cells)
+            try:
+                worker = crew.worker(self._desk_of(cell))
+                answer = worker.ask(verb, content, limit, work=WORK[verb])
+                if verb == "cases":
+                    yield self._outcomes(batch.unit, cells, answer)
+            except NoAnswerError as failed:
+                if failed.status == "crashed" and tries > 1:
+                    steps.appendleft((verb, cells, tries - 1))
+                elif verb == "cases" and len(cells) > 1:
+                    steps.extendleft((verb, [cell], 1) for cell in reversed(cells))
+                else:
+                    ended |= set(cells)
+                    end, truth = (failed.status, failed.reason), self.truth
+                    yield [Outcome(batch.unit, c, *end, truth(batch.unit, c)) for c in cells]
 
     def _split(self, cells: Iterable[int], level: int) -> list[list[int]]:
         """Cells in groups of equal number, in order of first appearance."""
@@ -205,16 +220,24 @@ class FlightExperiment(Experiment):
         return list(groups.values())
 
     def _outcomes(self, unit: int, cells: list[int], answer: Answer) -> list[Outcome]:
-        """The outcomes that an answer tells, held against the plan; raises where it is odd."""
+        """The outcomes in an answer, checked against the plan.
+
+        Raises:
+            NoAnswerError: they are not valid outcomes of these cells.
+        """
         outcomes, kinds = [], kinds_of(self.columns)
-        for cell, (own, *content) in zip(cells, answer.content["rows"], strict=True):
-            outcome = outcome_of(kinds, unit, own, *content)
-            estimate = [outcome.values.get(f"est_{name}", math.nan) for name in PARAMETERS]
-            if own != cell:
-                raise ValueError("not the cases that were asked for")
-            if outcome.status == "ok" and not np.isfinite(np.array(estimate, float)).all():
-                raise ValueError("ok without an estimate")
-            outcomes.append(outcome)
+        try:
+            for cell, (own, *content) in zip(cells, answer.content["rows"], strict=True):
+                outcome = outcome_of(kinds, unit, own, *content)
+                estimate = [outcome.values.get(f"est_{name}", math.nan) for name in PARAMETERS]
+                if own != cell:
+                    raise ValueError("not the cases that were asked for")
+                if outcome.status == "ok" and not np.isfinite(np.array(estimate, float)).all():
+                    raise ValueError("ok without an estimate")
+                outcomes.append(outcome)
+        except (ValueError, TypeError, LookupError, RecursionError) as error:
+            reason = f"the worker process returned no valid outcome: {error}"
+            raise NoAnswerError("crashed", reason[:200], WORK["cases"]) from None
         return outcomes
 
 
@@ -232,9 +255,9 @@ def level_words(key: str, level: object) -> str:
 def _halves(protocols: Protocols, worlds: Mapping[str, str] | None = None) -> dict[str, str]:
     """Words for what each protocol changes of the flights or, given their words, of the estimator.
 
-    Protocols that agree in this half share them: the name of the only one, the parts between commas
-    that the names of all of them have in common, or else the keys and values. Parts that name the
-    flights are left out of the others where what is left tells these apart.
+    Protocols that agree in this half share its words: the name of the only one, the parts between
+    commas that all their names have in common, or else the keys and values. Parts that name the
+    flights are left out of the estimator's words where these stay distinct.
     """
     halves: dict[str, list[str]] = {}
     for name, overrides in protocols.items():
@@ -260,22 +283,26 @@ def _halves(protocols: Protocols, worlds: Mapping[str, str] | None = None) -> di
     for half, word in words.items():
         if not word or counts[word] > 1:
             content = (level_words(key, value) for key, value in json.loads(half).items())
-            words[half] = ", ".join(content) or AS_SAID
+            words[half] = ", ".join(content) or (UNCHANGED if worlds is None else "")
     return {name: words[half] for half, alike in halves.items() for name in alike}
 
 
 def _titles(aspects: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """The shortest name of each (reading, back-end, levels) that tells it apart."""
-    for (_, backend, _), (reading, name, levels) in zip(aspects, telling(aspects), strict=True):
-        if reading == AS_SAID or not (reading or name or levels):
-            reading, name = "", backend
+    """The shortest unique name of each (reading, back-end, levels)."""
+    shortest = telling(aspects)
+    named = any(reading for reading, *_ in shortest)
+    for (_, backend, _), (reading, name, levels) in zip(aspects, shortest, strict=True):
+        if not reading and (named or not (name or levels)):
+            name = backend
         names = ": ".join(filter(None, (reading, name)))
         yield " with ".join(filter(None, (names, levels)))
 
 
 def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:
-    """The words of each (back-end, label, settings): its label, and what varies within that."""
-    every = dict.fromkeys((c.choice.name, c.choice.label, c.canonical_settings) for c in cells)
+    """The words of each (back-end, label, settings): the label, and the settings that vary."""
+    every = dict.fromkeys(
+        (c.backend.name, c.backend.label, c.backend.canonical_settings) for c in cells
+    )
     settings = {key: {"backend": key[0], **json.loads(key[2])} for key in every}
     words = {}
     for key, own in settings.items():

@@ -1,15 +1,18 @@
-"""The process between a run and a worker, which ends all that the worker has started.
+"""The process between a run and a worker, which ends all processes that the worker has started.
 
-    parent ── lifeline (stdin) ──> guardian ── fork ──> worker: code of others
+    parent ── requests (stdin) ──> guardian ── fork ──> worker: foreign code
+           <── answers (stdout) ───────────────────────
 
-The guardian is run as a file, and imports nothing of sparsefit. Processes that leave the worker's
-session become the guardian's when their own parent ends (a subreaper, of Linux). All of them end
-when the worker does, and when the run does, even by SIGKILL; the worker ends with the guardian.
+The guardian runs as a script and imports nothing of sparsefit. It reads no request: it only waits
+for the hangup of their pipe, when the run ends, even by SIGKILL. Processes that leave the worker's
+session become children of the guardian when their parent ends (a subreaper, of Linux). The guardian
+kills them all when the worker or the run ends; the worker is killed when the guardian ends.
 """
 
 import ctypes
 import os
 import pickle
+import select
 import signal
 import sys
 import threading
@@ -19,7 +22,7 @@ from pathlib import Path
 PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # of Linux
 
 
-def main(asks: int, answers: int) -> None:
+def main() -> None:
     """Fork the worker, wait for its end, end the rest, and exit as it did (128 + signal)."""
     _prctl(PR_SET_CHILD_SUBREAPER, 1)
     guardian, worker = os.getpid(), os.fork()
@@ -28,10 +31,9 @@ def main(asks: int, answers: int) -> None:
         _prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != guardian:
             os._exit(1)
-        work(asks, answers)
+        work()
         os._exit(0)
-    os.close(asks)
-    os.close(answers)
+    os.close(1)
     threading.Thread(target=_watch, args=(worker,), daemon=True).start()
     _, status = os.waitpid(worker, 0)
     _end(os.killpg, worker)
@@ -44,24 +46,24 @@ def main(asks: int, answers: int) -> None:
     os._exit(code if code >= 0 else 128 - code)
 
 
-def work(asks: int, answers: int) -> None:
-    """Serve with the function and arguments of the first message, on the parent's paths.
+def work() -> None:
+    """Call the function of the first message with its arguments, on the parent's `sys.path`.
 
-    What is printed is no answer of the parent's, and what is asked for nobody types.
+    The channels move to other descriptors: foreign code prints to stderr and reads /dev/null.
     """
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.dup(1)
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
-    stream = os.fdopen(asks, "rb")
     try:
-        sys.path[:] = pickle.load(stream)
-        serve, arguments = pickle.load(stream)
+        sys.path[:] = pickle.load(requests)
+        serve, arguments = pickle.load(requests)
     except EOFError:  # the parent is gone
         return
-    serve(stream, answers, *arguments)
+    serve(requests, answers, *arguments)
 
 
 def children_of(process: int) -> list[int]:
-    """The processes that a process has started, or that have fallen to it; none without /proc."""
+    """The child processes of a process, adopted ones included; none without /proc."""
     children: list[int] = []
     with suppress(OSError):
         for path in Path(f"/proc/{process}/task").glob("*/children"):
@@ -70,8 +72,10 @@ def children_of(process: int) -> list[int]:
 
 
 def _watch(worker: int) -> None:
-    """End the worker when the parent closes the lifeline, or dies: nobody writes there."""
-    os.read(0, 1)
+    """End the worker when the parent closes the channel of requests, or dies."""
+    hangup = select.poll()
+    hangup.register(0, 0)  # reports POLLHUP, and no request
+    hangup.poll()
     _end(os.killpg, worker)
     _end(os.kill, worker)
 
@@ -87,4 +91,4 @@ def _prctl(option: int, value: int) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:3]))
+    main()

@@ -40,7 +40,7 @@ class Heading:
     kind: StudyKind = key(
         '`"flights"`; `"problems"`, of regression; `"solvers"`, of those by time alone.', "flights"
     )
-    seed: int = key("Whole number that decides everything random.", 0)
+    seed: int = key("Seed of everything random, a whole number.", 0)
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.name):
@@ -51,8 +51,8 @@ class Heading:
 class Split:
     """The flights of a choice, and those that score it: [split]."""
 
-    validate: int = key("Flights that choose.", range=POSITIVE)
-    evaluate: int = key("Flights that score the choice once: all others.", range=POSITIVE)
+    validate: int = key("Number of flights by which a candidate is chosen.", range=POSITIVE)
+    evaluate: int = key("Number of the others, which score the choice once.", range=POSITIVE)
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,10 @@ class RunRule:
     case_timeout: float = key("Seconds that one case may take.", 60.0, POSITIVE, "s")
     tolerance: float = key("A certificate above it is `inaccurate`.", 1e-8, INSIDE)
     prediction_flights: int = key(
-        "Along how many other flights each estimated flow is predicted.", 0
+        "Number of other flights along which each estimated flow is predicted.", 0
     )
     max_memory: float | None = key(
-        "Most that a worker may take; without it, its share of the machine's.",
+        "Largest memory of a worker; without it, its share of the machine's.",
         None, Range(least=256.0), "MB",
     )  # fmt: skip
 
@@ -74,8 +74,8 @@ class RunRule:
 class Reference:
     """Printed numbers that a study is held against; each triple is U0, L_w and tau_w."""
 
-    name: str = key("What the tables call it.")
-    flights: int | None = key("How many flights it is of.", None)
+    name: str = key("Name in the tables.")
+    flights: int | None = key("Number of flights behind it.", None)
     deviation: Three | None = key("Mean signed errors [m/s, m, s].", None)
     signed_error: Three | None = key("Mean signed errors.", None, unit="%")
 
@@ -104,15 +104,6 @@ class Outputs:
         if not all(isinstance(entry, str | Mapping) for entry in self.tables + self.figures):
             raise InputError("tables and figures are names in quotes, or tables of options")
 
-    @property
-    def names(self) -> dict[str, list[str]]:
-        """The names of tables and figures."""
-        return {
-            kind: [str(e.get("name", e.get("measure")) if isinstance(e, Mapping) else e)
-                   for e in getattr(self, kind)]
-            for kind in ("tables", "figures")
-        }  # fmt: skip
-
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionRule:
@@ -134,23 +125,23 @@ class SelectionRule:
     )
     latency_flights: int = key("Flights over which latency and memory are measured.", 100, COUNTED)
     check: int = key(
-        "On how many flights of fresh seeds, in every world, the choice is checked.", 0, COUNTED
+        "Flights of fresh seeds, in every condition, on which the choice is checked.", 0, COUNTED
     )
     max_failure: float | None = key(
-        "Most flights without an estimate, as a share, in every regime.", None, SHARE
+        "Largest share of flights without an estimate, in every regime.", None, SHARE
     )
     max_silent_misses: float | None = key(
-        "Most flights called `ok` and off by more than 5 %, or without a flow, as a share.",
+        "Largest share of flights called `ok` that are off by more than 5 %, or in still air.",
         None, SHARE,
     )  # fmt: skip
     max_error: float | None = key(
-        "Most that the 95th percentile of the largest error of U0, L_w and tau_w may be.",
+        "Largest 95th percentile of the largest error of U0, L_w and tau_w.",
         None, POSITIVE, "%",
     )  # fmt: skip
     max_latency_p99: float | None = key(
-        "Most that the 99th percentile of the latency may be.", None, POSITIVE, "s"
+        "Largest 99th percentile of the latency.", None, POSITIVE, "s"
     )
-    max_memory: float | None = key("Most memory of one estimate.", None, POSITIVE, "MB")
+    max_memory: float | None = key("Largest memory of one estimate.", None, POSITIVE, "MB")
 
     def __post_init__(self) -> None:
         for name in ("max_latency_p99", "max_memory"):
@@ -175,6 +166,12 @@ class ProblemSelection(SelectionRule):
 
     criterion: str = "mean holdout-error"
 
+    def __post_init__(self) -> None:
+        for name in ("on_board", "check", "max_silent_misses", "max_error", "max_latency_p99",
+                     "max_memory"):  # fmt: skip
+            if getattr(self, name):
+                raise InputError(f"{name} is for flights: a study of problems has no such rule")
+
 
 @dataclass(frozen=True)
 class BackendKeys:
@@ -183,14 +180,14 @@ class BackendKeys:
     name: str = key(
         "The back-end. All its settings, below, may stand beside it, each a value or a list."
     )
-    label: str = key("What tables call this entry; without it, the name.", "")
+    label: str = key("Name of this entry in tables; without it, the back-end's.", "")
 
 
 @dataclass(frozen=True)
 class ProtocolKeys:
     """The keys of [[protocols]] beside those that it sets."""
 
-    name: str = key("What tables call it.")
+    name: str = key("Name in tables.")
 
 
 @dataclass(frozen=True)
@@ -201,7 +198,7 @@ class LogRules:
         "Names or patterns of flight files, relative to the study file, in order of name."
     )
     windows: tuple[float, ...] = key(
-        "One length or several: each log in pieces of so long; without it, the whole of it.",
+        "Duration, or several, of the pieces that each log is cut into; without it, whole logs.",
         (), POSITIVE, "s",
     )  # fmt: skip
     response_time: float | None = key("tau, in place of what files say.", None, POSITIVE, "s")
@@ -212,9 +209,18 @@ class LogRules:
 class ProblemKeys:
     """The keys of [[problems]]; those of a generator stand beside them."""
 
-    name: str = key("What tables call it.", "")
+    name: str = key("Name in tables.", "")
     flights: Mapping[str, object] = key("Keys of `[flights]`: a problem for each flight.", dict)
-    file: str = key("An `.npz` file with `theta`, `target` and, if any, `groups`.", "")
+    file: str = key(
+        "A table with a header, `.csv` or `.parquet`; or an `.npz` file with `theta`, `target` "
+        "and, if any, `groups` and `truth`.", ""
+    )  # fmt: skip
+    target: tuple[str, ...] = key(
+        "Of a table, the column to predict, or a list of them: all others predict it.", ()
+    )
+    intercept: bool = key(
+        "Of a file: subtract the mean of each column first, an intercept without penalty.", False
+    )
     dataset: DataSet | None = key(
         f"A data set that ships inside scikit-learn: {', '.join(get_args(DataSet))}.", None
     )
@@ -222,12 +228,12 @@ class ProblemKeys:
         "A problem that is drawn, y = Z w + noise, with its true support: correlated, wide, "
         "sparse, grouped.", None
     )  # fmt: skip
-    test: str = key("A file of rows that are held out, in the form of `file`.", "")
+    test: str = key("A file of held-out rows with the columns of `file`.", "")
     library: Mapping[str, object] = key("Of a flight, in place of the file's own keys.", dict)
     alter: tuple[Alteration, ...] = key(
         f"Makes it degenerate: {', '.join(get_args(Alteration))}; or a list.", ("as it is",)
     )
-    count: int = key("How many problems are drawn.", 1, Range(least=1))
+    count: int = key("Number of problems that are drawn.", 1, Range(least=1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,11 +246,11 @@ class Generator:
     samples: int = key("Rows of a drawn problem.", 200, Range(least=2))
     columns: int = key("Columns of a drawn problem.", 100, Range(least=1))
     targets: int = key("Targets of a drawn problem.", 1, Range(least=1))
-    support: int = key("Columns, or groups, that the target is made of.", 5, Range(least=1))
-    snr: float = key("Squares of the signal over those of the noise.", 5.0, POSITIVE)
+    support: int = key("Columns, or groups, that the target depends on.", 5, Range(least=1))
+    snr: float = key("Signal-to-noise ratio, of mean squares.", 5.0, POSITIVE)
     correlation: float = key("Of neighbouring columns.", 0.0, Range(least=0.0, below=1.0))
-    group: int = key("Columns of a group.", 1, Range(least=1))
-    density: float = key("Share of the entries that are not zero.", 1.0, Range(above=0.0, most=1.0))
+    group: int = key("Number of columns in a group.", 1, Range(least=1))
+    density: float = key("Share of nonzero entries of theta.", 1.0, Range(above=0.0, most=1.0))
 
     def __post_init__(self) -> None:
         if self.samples * self.columns * self.density > MOST_VALUES:
@@ -266,8 +272,8 @@ class ContenderKeys:
         "The objective, as tables call it: entries of one label are compared. Without it, the "
         "back-end and its settings.", ""
     )  # fmt: skip
-    solver: tuple[str, ...] = key("Who solves it, a list; without it, the exact path.", ("",))
-    tolerances: tuple[float, ...] = key("In place of the file's own.", (), INSIDE)
+    solver: tuple[str, ...] = key("Solver, or a list; without it, the exact path.", ("",))
+    tolerances: tuple[float, ...] = key("In place of the study's own.", (), INSIDE)
     certified: bool = key(
         "Of an exact path of sparsefit: charge it for the checks of the data and the certificate "
         "of every point.", False
@@ -278,11 +284,11 @@ class ContenderKeys:
 class SolverKeys:
     """The keys of [[solvers]] beside settings."""
 
-    name: str = key("What `solver` calls it.")
+    name: str = key("Name by which `solver` refers to it.")
     file: str = key("A Python file with its class, beside the study.", "")
     command: tuple[str, ...] = key("Or a program and its arguments.", ())
     start: float = key(
-        "That a command may take to start, to read and to write, beside the limit of its solve.",
+        "Time that a command may take to start, read and write, beside the limit of its solve.",
         60.0, POSITIVE, "s",
     )  # fmt: skip
 
@@ -291,19 +297,19 @@ class SolverKeys:
 class PathRule:
     """The penalties of [path]."""
 
-    points: int = key("How many, from alpha_max down.", 30, Range(least=1, most=1000))
-    lowest: float = key("The least of them, as a share of alpha_max.", 1e-3, INSIDE)
+    points: int = key("Number of penalties, from alpha_max down.", 30, Range(least=1, most=1000))
+    lowest: float = key("Smallest penalty as a share of alpha_max.", 1e-3, INSIDE)
 
 
 @dataclass(frozen=True)
 class Clock:
     """The rules by which a solve is timed: [clock]."""
 
-    limit: float = key("On the wall, after which a solve is killed.", 20.0, POSITIVE, "s")
-    repeats: int = key("Most repeats of a case.", 25, Range(least=1, most=1000))
-    seconds: float = key("Repeats end after so many seconds.", 2.0, NOT_NEGATIVE, "s")
+    limit: float = key("Wall time after which a solve is killed.", 20.0, POSITIVE, "s")
+    repeats: int = key("Largest number of repeats of a case.", 25, Range(least=1, most=1000))
+    seconds: float = key("Time after which repeats end.", 2.0, NOT_NEGATIVE, "s")
     precision: float = key(
-        "Or when the 95 % interval of the median is within this share of it.", 0.05, POSITIVE
+        "Or once the 95 % interval of the median is within this share of it.", 0.05, POSITIVE
     )
 
 
@@ -319,11 +325,11 @@ class StudyFile(Heading):
 class FlightFile(StudyFile):
     """A study of flights."""
 
-    flights: Section = key("What is flown, or which logs are read.")
-    derivative: Section = key("How derivatives are taken.", dict)
-    library: Section = key("The candidates, and what they are regressed on.", dict)
-    readout: Section = key("How weights become U0, L_w and tau_w.", dict)
-    online: Section = key("Whether flights are followed sample by sample, and how far back.", dict)
+    flights: Section = key("Flights that are simulated, or logs that are read.")
+    derivative: Section = key("Method of differentiation.", dict)
+    library: Section = key("Candidate length scales, and what is regressed on them.", dict)
+    readout: Section = key("From weights to U0, L_w and tau_w.", dict)
+    online: Section = key("Estimation sample by sample, and its window.", dict)
     backends: tuple[Section, ...] = key(
         "One `[[backends]]` for each back-end, with lists of settings."
     )
@@ -338,7 +344,7 @@ class ProblemFile(StudyFile):
     """A study of regression problems."""
 
     tolerances: tuple[float, ...] = key(
-        "Where solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
+        "Tolerances at which solvers are asked to stop.", (1e-4, 1e-6, 1e-8, 1e-10), INSIDE
     )
     path: PathRule | None = key(
         "A path of penalties for every problem; without it, single fits.", None

@@ -1,9 +1,9 @@
-"""How long one estimate takes and how much memory, measured as it would be deployed.
+"""Latency and memory of one estimate, measured as in deployment.
 
-One candidate at a time in a process of its own, on one core with one thread, one flight after the
-other, from the record of the flight to the answer, by the parent's clock. The first flights warm it
-up and do not count. A flight during which the wall ran ahead of the CPU is timed again; where it
-does so again another program has the core, and the CPU's own time stands in.
+One candidate at a time runs in a process of its own, on one core with one thread, one flight after
+the other, from the log to the estimate; times are wall times by the parent's clock. The first
+flights are a warm-up. A flight during which the machine was disturbed (`worker.disturbed`) is timed
+again; if it is disturbed again, the CPU time takes the place of the wall time.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import os
 import platform
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -21,10 +22,10 @@ import numpy as np
 
 import sparsefit
 from sparsefit.codec import finite_or_none
-from sparsefit.study.definition import Definition
 from sparsefit.study.flight_desk import FlightDesk
 from sparsefit.study.manifest import processor, read_record
-from sparsefit.study.worker import Answer, Ask, Worker, disturbed, memory_limit
+from sparsefit.study.plan import Definition
+from sparsefit.study.worker import Answer, NoAnswerError, Worker, disturbed, memory_limit
 from sparsefit.whole_file import write_whole
 
 LATENCY = "latency.json"
@@ -32,10 +33,10 @@ LATENCY = "latency.json"
 
 @dataclass(frozen=True)
 class Latency:
-    """Seconds [s] of one estimate, over `flights` of them, and the peak memory [MB] of its process.
+    """Times [s] of one estimate over a number of flights, and the peak memory [MB] of its process.
 
-    busy: the share of flights that another program disturbed, of which CPU time is told. Infinite
-    where the process died or was ended.
+    busy: the share of flights that were disturbed twice. All infinite where the process died or was
+    killed at its limit.
     """
 
     median: float
@@ -46,44 +47,41 @@ class Latency:
 
 
 def measured(definition: Definition, cells: Sequence[int], flights: int) -> Latency:
-    """The times of `flights` estimates of a candidate, its cells, so conditions, in turn.
+    """The latency of a candidate over flights of splits other than `evaluate`.
 
-    They are of the flights that it is chosen on. A slow candidate is timed on fewer, 10 at least,
-    and says so.
+    cells: of the candidate, one a condition, which take turns. A slow candidate is timed on fewer
+    flights, at least 10.
     """
     design, limit = definition.flights, definition.rules.case_timeout
     units = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
     memory = memory_limit(definition.rules.max_memory, 1)
-    worker = Worker.start(FlightDesk, (definition,), memory=memory)
-    begun, times, busy = time.monotonic(), list[float](), 0
-    try:
+    begun, times, busy, peak = time.monotonic(), list[float](), 0, None
+    with closing(Worker(FlightDesk, (definition,), memory=memory)) as worker:
         for place in (0, 0, *range(flights)):  # two to warm up
             unit = units[place // len(cells) % len(units)]
             content = {"unit": unit, "cells": [cells[place % len(cells)]]}
             runs: list[Answer] = []
-            while len(runs) < 2:
-                run = worker.wait(Ask("ready", content, limit))
-                if not run.lost:
-                    run = worker.wait(Ask("estimate", content, limit, timed=True))
-                if run.lost:
+            try:
+                while len(runs) < 2:
+                    peak = worker.ask("ready", content, limit).content.get("memory")
+                    runs.append(run := worker.ask("estimate", content, limit, timed=True))
+                    if not (late := disturbed(run.wall, run.cpu)):
+                        break
+            except NoAnswerError as failed:
+                if failed.lost:
                     return Latency(math.inf, math.inf, math.inf, 0)
-                runs.append(run)
-                if not (late := disturbed(run.wall, run.cpu)):
-                    break
+                continue  # a flight that cannot be simulated is not timed
             times.append(min(run.cpu for run in runs) if late else run.wall)
             busy += late and len(times) > 2
             if len(times) >= 12 and time.monotonic() - begun > 15.0:
                 break
-        peak = worker.wait(Ask("ready", content, limit)).content.get("memory")
-    finally:
-        worker.close()
     del times[:2]
     median, p99 = map(float, np.quantile(times, [0.5, 0.99]))
     return Latency(median, p99, peak or math.nan, len(times), busy / len(times))
 
 
 def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latency]) -> None:
-    """Write the times into the results folder, in a file of their own: no other machine's agree."""
+    """Write `latency.json` into the results folder, with the machine that was timed."""
     candidates = {name: asdict(latency) for name, latency in measured.items()}
     machine: dict[str, object] = {"processor": processor(), "system": platform.platform()}
     machine |= {"load": os.getloadavg()[0], "sparsefit": sparsefit.__version__}
@@ -92,7 +90,7 @@ def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latenc
 
 
 def read_latencies(study_hash: str, folder: Path) -> dict[str, Latency]:
-    """The times of this study's candidates, by this version; none where there are no such."""
+    """The stored latencies of this study and this version of sparsefit; empty without any."""
     content, stored = read_record(folder / LATENCY) or {}, {}
     try:
         made = (content["study_hash"], content["machine"]["sparsefit"])

@@ -1,9 +1,9 @@
-"""`manifest.json`: what made these results and how many ended how, in one small file.
+"""`manifest.json`: versions, machine, counts of statuses and checksums of a study's results.
 
     code_version("my-plugin 1.2")  ->  "0.4.0+1a2b3c4d my-plugin 1.2"
 
-It holds the sha256 of the Parquet files beside it: rows that a disk or a hand has changed since
-are not read. The version of a row is that of every file that can change a number.
+Parquet files whose sha256 is not the one in the manifest beside them are not read. The version of
+a row has a digest of every source file that can change a number.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from sparsefit.whole_file import write_whole
 
 MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
-STUDY = (  # files of `study/` that no worker, question or answer passes through
-    *("__init__", "compare", "dask_executor", "entries", "evidence", "figures"),
+STUDY = (  # files of `study/` that no number of a case depends on
+    *("__init__", "compare", "entries", "evidence", "figures"),
     *("latency", "measures", "page", "panels", "pool", "resampling", "runner"),
     *("selection", "solver_times", "store", "study", "table", "tables", "trials"),
 )
-# No case is computed by these: they run, keep and show what others computed.
+# No number of a case depends on these: they run, store and show.
 NOT_COMPUTING = {"cli", "plot", "__main__.py", "sklearn.py", "pysindy.py"} | {
     f"study/{name}.py" for name in STUDY
 }
@@ -46,13 +46,13 @@ COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
 
 
 def code_version(plugin: str = "") -> str:
-    """`0.4.0+1a2b3c4d`, and the distribution and version that a plug-in comes from."""
+    """The version of the code, `0.4.0+1a2b3c4d`, and of a plug-in's distribution."""
     return f"{sparsefit.__version__}+{_digest()} {plugin}".rstrip()
 
 
 @cache
 def _digest() -> str:
-    """The first 8 digits of the sha256 of all that determines numbers, equal on every machine."""
+    """The first 8 digits of the sha256 of `sources` without words, equal on every machine."""
     total = hashlib.sha256()
     package = Path(sparsefit.__file__).parent
     for path in sources():
@@ -74,15 +74,15 @@ def sources() -> Iterator[Path]:
 def without_words(source: str) -> str:
     """A Python source without docstrings, comments and empty lines, which change no number.
 
-    By its text, which is the same for every version of Python, and quick; comments stay where a
-    string of several lines might hold what looks like one.
+    Works on the text, and so alike in every version of Python. Comments stay where a string of
+    several lines might contain one.
     """
     text = DOCSTRING.sub(r"\1", source)
     return text if '"""' in text else COMMENT.sub("", text)
 
 
 def write_manifest(folder: Path, content: Mapping[str, object]) -> None:
-    """Write the manifest of a finished run: this content, the checksums, and on what it ran."""
+    """Write the manifest of a finished run: this content, checksums, versions and the machine."""
     checksums = {path.name: _sha256(path) for path in sorted(folder.glob("*.parquet"))}
     whole = {
         **content,
@@ -96,7 +96,7 @@ def write_manifest(folder: Path, content: Mapping[str, object]) -> None:
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
-    """The JSON object in a regular file; None where there is none that can be read."""
+    """The JSON object in a regular file; None without a readable one."""
     try:
         facts = path.stat()
         if not stat.S_ISREG(facts.st_mode) or facts.st_size > LARGEST:
@@ -108,9 +108,9 @@ def read_record(path: Path) -> dict[str, Any] | None:
 
 
 def check_whole(path: Path, *, strict: bool = False) -> None:
-    """Raise `InputError` unless a file has the checksum that the manifest beside it tells.
+    """Raise `InputError` unless a file has the checksum in the manifest beside it.
 
-    strict: also where the manifest tells none, of a part that is merged from elsewhere.
+    strict: also where the manifest has none, for a part that is merged from elsewhere.
     """
     written = (read_record(path.parent / MANIFEST) or {}).get("sha256")
     if not isinstance(written, dict) or path.name not in written:
@@ -131,7 +131,7 @@ def _sha256(path: Path) -> str:
 
 
 def versions() -> dict[str, str | None]:
-    """Versions of sparsefit, Python and what computes; None for what is not installed."""
+    """Versions of sparsefit, Python and numerical packages; None for those not installed."""
     numbers: dict[str, str | None] = {
         "sparsefit": sparsefit.__version__, "python": platform.python_version()
     }  # fmt: skip
@@ -143,7 +143,7 @@ def versions() -> dict[str, str | None]:
 
 
 def processor() -> str:
-    """The name of the CPU, where the system tells it."""
+    """The name of the CPU, where the system has it."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):

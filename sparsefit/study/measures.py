@@ -2,8 +2,8 @@
 
 A measure gives one number per case, NaN where the case has none. One rule of failure: a case in a
 flow without the number of a measure that counts failures ranks behind every number in a quantile
-and counts as `miss` in a mean, so that nobody gains by giving no answer. Of other measures it is
-left out, and the tables count it beside them.
+and counts as `miss` in a mean: giving no answer is never an advantage. Of other measures it is left
+out, and the tables count it beside them.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ def answered(cases: pd.DataFrame) -> BoolArray:
 
 
 def in_flow(cases: pd.DataFrame) -> BoolArray:
-    """Return whether there was a flow to be found, and it is known which, (rows,)."""
+    """Return whether there was a flow, and it is known which, (rows,)."""
     return ~texts(cases, "flow").isin(["none", "unknown"]).to_numpy(dtype=bool)
 
 
 def in_still_air(cases: pd.DataFrame) -> BoolArray:
-    """Return whether there was no flow to be found, (rows,); of a logged flight nobody knows."""
+    """Return whether the flight was in still air, (rows,); False of a logged flight."""
     return (texts(cases, "flow") == "none").to_numpy(dtype=bool)
 
 
@@ -106,7 +106,7 @@ class Measure:
 
     name: by which a study asks for it; heading: over a column of a table; words: the quantity in a
     sentence, `|error| of τ_w`; read: the number (rows,) of each case in `unit`, NaN where it has
-    none; summary: in `QUANTILES` or `SUMMARIES`, by which a group of cases is told.
+    none; summary: in `QUANTILES` or `SUMMARIES`, of a group of cases.
     miss: what a failure counts as in a mean; failures are left out where it is None.
     format: of the summary, three significant digits by default; more: whether more is better;
     least: a smaller size is rounding; varies: with the machine; kind: `flights` or `problems`, of
@@ -248,7 +248,7 @@ def _of_each(name: str, unit: str | None, heading: str, words: str, **more: Any)
 
 def _share(name: str, heading: str, words: str, read: Callable[[pd.DataFrame], Array | BoolArray],
            format: str = ".1f", *, more: bool = False) -> Measure:  # fmt: skip
-    """Return a measure that is 1 or 0, told as a share."""
+    """Return a measure that is 1 or 0, summarised as a share."""
     return Measure(name, "%", heading, words, lambda cases: read(cases).astype(float), "share",
                    format=format, more=more)  # fmt: skip
 

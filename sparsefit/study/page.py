@@ -1,7 +1,7 @@
-"""The pages of a study: tables and pictures as files, one offline HTML page, and a README.
+"""The report of a study: tables and figures as files, one offline HTML page, and a README.
 
-The page is one file: style and script stand in it, its policy lets no other script run and no
-other file be fetched, and whatever comes from a file is escaped.
+The page is one file with its style and script; its content security policy forbids other scripts
+and all requests, and texts are escaped.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from importlib import import_module, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+from sparsefit.errors import InputError
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
@@ -36,9 +37,9 @@ Files: TypeAlias = dict[str, bytes]  # by name
 
 
 class Drawing(NamedTuple):
-    """A picture of a page: its SVG, with linear axes too where some are logarithmic.
+    """A figure of a page: its SVG, and one with linear axes if some are logarithmic.
 
-    lines: the id of each line in the SVG and what a legend calls it.
+    lines: the legend of each line by its id in the SVG.
     """
 
     title: str
@@ -49,7 +50,7 @@ class Drawing(NamedTuple):
 
 
 class Code(NamedTuple):
-    """A text in letters of one width, shown when asked for."""
+    """A preformatted text that can be unfolded."""
 
     title: str
     code: str
@@ -57,10 +58,10 @@ class Code(NamedTuple):
 
 def to_html(name: str, question: str, answer: str,
             sections: Mapping[str, Sequence[Any]], progress: str = "") -> str:  # fmt: skip
-    """Return one HTML file that opens offline: tables sort and filter, lines hide and show.
+    """Return the HTML of a page with sortable tables and figures whose lines can be hidden.
 
     Args:
-        sections: by heading their parts: texts, lists of texts, tables, drawings and code.
+        sections: parts by heading: texts, lists of texts, tables, drawings and code.
     """
     import jinja2
 
@@ -75,7 +76,7 @@ def to_html(name: str, question: str, answer: str,
 
 
 def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
-    """Return a picture, drawn already as `svg` or not, as a part of a page; or its caption."""
+    """Return a figure as a part of a page, or its caption; `svg`: the figure if already encoded."""
     figure = picture.figure
     if figure is None or not (svg := svg or encoded(figure, ".svg", name)):
         return picture.caption
@@ -103,26 +104,30 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
 
 
 def load() -> None:
-    """Import what a report needs, and a run does not: a second of work."""
+    """Import the modules that only a report needs, which takes about a second."""
     backend = "matplotlib.backends.backend_svg"
     for name in ("jinja2", "matplotlib.figure", backend, "pandas.io.formats.style"):
         import_module(name)
 
 
 def check_outputs(study: Any) -> None:
-    """Refuse, before anything is run, outputs that are not known.
+    """Refuse unknown outputs before anything is run.
 
     Raises:
-        InputError: with the nearest name that is.
+        InputError: with the nearest known name.
     """
     for kind, room in (("table", tables), ("figure", figures)):
-        list(asked(study, kind, room.LAYOUTS))
-    if study.definition.outputs.headline:
-        measure(study.definition.outputs.headline)
+        for name, entry in asked(study, kind, room.LAYOUTS):
+            along = getattr(entry, "along", "")
+            if along.startswith("flights.") and along not in study.plan():
+                raise InputError(f"{kind} {name}: along {along}, which is not swept")
+    headline = study.definition.outputs.headline
+    if headline and measure(headline).kind not in ("", study.kind):
+        raise InputError(f'[outputs] headline: "{headline}" is no measure of {study.kind}')
 
 
 def headline(study: Any, cases: pd.DataFrame) -> str:
-    """Return the one sentence of a study: the best and the worst candidate by its measure."""
+    """Return the summary sentence of a study: the best and the worst candidate by its measure."""
     outputs, says = study.definition.outputs, facts(cases)
     defaults = {"predicted": "holdout-error", "problems": "", "flow": "timescale-error"}
     default = next((name for fact, name in defaults.items() if fact in says), "called-ok")
@@ -154,7 +159,7 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
 
 
 def progress(study: Any, cases: pd.DataFrame) -> str:
-    """Return how many cases there are and how they ended, `3990 of 3990 cases: 3721 ok`."""
+    """Return the numbers of cases by status, `3990 of 3990 planned cases: 3721 ok`."""
     counted, planned = Counter(cases["status"]), len(study.plan())
     ended = ", ".join(f"{counted[name]} {name}" for name in STATUSES if counted[name])
     return f"{len(cases)} of {planned} planned cases: {ended}. Seed {study.seed}."
@@ -169,7 +174,7 @@ def show(study: Any, cases: pd.DataFrame, *, width: int) -> str:
 
 
 def files_of(study: str, made: Mapping[str, Table], pictures: Mapping[str, Picture]) -> Files:
-    """Return every table as NAME.csv and .tex, every picture as NAME.svg, a large one as .png."""
+    """Return tables as NAME.csv and .tex, figures as NAME.svg, or .png above 1 MB."""
     files: Files = {}
     for name, each in made.items():
         files[f"{name}.csv"] = each.to_csv().encode()
@@ -213,8 +218,8 @@ def write(study: Any) -> list[Path]:
         run.append(Table("Versions, machine and time", (Column("what"), Column("value")), rows))
     sections: dict[str, Sequence[Any]] = {
         "Tables": steady,
-        "Pictures": [drawing(name, each, files.get(f"{name}.svg", b""))
-                     for name, each in pictures.items()],
+        "Figures": [drawing(name, each, files.get(f"{name}.svg", b""))
+                    for name, each in pictures.items()],
         "Times": [each for each in made.values() if each not in steady],
         "This run": run,
     }  # fmt: skip
@@ -226,7 +231,7 @@ def write(study: Any) -> list[Path]:
 
 def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
            pictures: Mapping[str, Picture], files: Mapping[str, bytes]) -> bytes:  # fmt: skip
-    """Return the README: question, headline, pictures (PNG of the large), and readable rows."""
+    """Return the README: question, headline, figures, and tables as far as they are short."""
     words = (study.name, study.question, said[0])
     name, question, answer = (text.translate(MARKDOWN) for text in words)
     parts = [f"# {name}", f"**{question}**", answer,
@@ -236,7 +241,7 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
         caption = picture.caption.translate(MARKDOWN)
         file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
         shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
-    # What is longer stands in its files and on the page.
+    # Longer tables are linked.
     room = 700 - sum(len(part.split()) for part in (*parts, *shown))
     for name, each in made.items():
         count, head = len(each.rows), len(each.to_markdown(0).split())
@@ -280,5 +285,8 @@ def write_case(study: Any, case_id: str, file: Path) -> Table:
         estimator = study.estimator(case["candidate"])
         figure = draw_estimate(again.estimate, estimator, flights, title, truths)
         write_whole(file, encoded(figure, file.suffix.lower()))
-    values = (Column(name, format=".6g") for name in ("truth", "stored", "run again"))
+    names = ["truth", "stored", "run again"]
+    if study.kind == "problems":  # which have a truth of none of these numbers
+        rows, names = [(name, *values) for name, _, *values in rows], names[1:]
+    values = (Column(name, format=".6g") for name in names)
     return Table(f"Case {case_id}", (Column("what"), *values), rows)

@@ -1,4 +1,4 @@
-"""Panels of a picture: curves with one look by name, those that coincide once, under one legend."""
+"""Panels of a figure: curves with one style per name, under one legend."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Ranks: TypeAlias = Mapping[str, float]  # a legend names the curves of the least
-NAMED_CURVES = 10  # curves that a legend names; the rest are grey, but for a single one
+Ranks: TypeAlias = Mapping[str, float]  # a legend has the curves of smallest rank
+NAMED_CURVES = 10  # curves in a legend; others are grey, unless there is only one more
 LOG_RANGE = 8.0  # largest over smallest, from which an axis is logarithmic
 
 
 class Curve(NamedTuple):
-    """Points (p,) of one line, and where they are known the ends (2, p) of their intervals."""
+    """Points (p,) of a line, and the ends (2, p) of their intervals if known."""
 
     name: str
     x: Array
@@ -32,18 +32,18 @@ class Curve(NamedTuple):
 
     @property
     def points(self) -> tuple[str, ...]:
-        """The points to three digits: curves with equal ones are drawn once."""
+        """The coordinates to three digits; curves with equal ones are drawn once."""
         return tuple(f"{value:.2e}" for value in (*self.x, *self.y))
 
 
 @dataclass(eq=False)
 class Panel:
-    """One pair of axes: its curves, its words, and how they are drawn.
+    """A pair of axes with its curves and labels.
 
-    style: arguments of `plot` in place of those of a line's look; x_range, y_range: the axes' ends,
-    those of the data unless given; log: the logarithmic axes, `xy`; levels: the names of x = 0, 1,
-    ..., or the numbers that x has; marks: dashed lines, each an axis and a value; is_share: whether
-    y is a share [%], of which its intervals are shown whole.
+    style: arguments of `plot` that replace those of the curve; x_range, y_range: limits of the
+    axes, by default those of the data; log: the logarithmic axes, `xy`; levels: names of x = 0, 1,
+    ..., or the numbers on the x axis; marks: dashed lines, each an axis and a value; is_share:
+    whether y is a share [%], whose intervals are within the limits.
     """
 
     curves: list[Curve]
@@ -60,16 +60,16 @@ class Panel:
 
     @property
     def names(self) -> list[str]:
-        """The names of x = 0, 1, ...; empty where x has numbers."""
+        """The names of x = 0, 1, ...; empty for a numeric axis."""
         return [] if isinstance(self.levels, np.ndarray) else list(self.levels)
 
     def bars_of(self, curve: Curve) -> Array | None:
-        """Return the intervals of a curve that are drawn: along names, or of few along a number."""
+        """Return the intervals to draw: on an axis of names, or of at most four curves."""
         return curve.bars if self.names or len(self.curves) <= 4 else None
 
     @property
     def heights(self) -> Array:
-        """All finite heights of the curves, of the intervals drawn, and of the marks of shares."""
+        """The finite y values of curves and drawn intervals, and the marks of shares."""
         bars = [self.bars_of(curve) for curve in self.curves]
         parts = [curve.y for curve in self.curves]
         parts += [each.ravel() for each in bars if each is not None]
@@ -78,7 +78,7 @@ class Panel:
         return np.asarray(every[np.isfinite(every)])
 
     def draw(self, axes: Axes, words: Mapping[str, str | None]) -> None:
-        """Draw the curves: those that a legend names by colour, style and marker."""
+        """Draw the curves; `words` has the legend of each, None for a grey one."""
         names = list(words)
         others = [curve for curve in self.curves if words[curve.name] is None]
         named = self.curves[: len(self.curves) - len(others)]
@@ -87,19 +87,21 @@ class Panel:
             place, x, bars = names.index(curve.name), curve.x, self.bars_of(curve)
             turn, colour = divmod(place, len(COLOURS))
             look: dict[str, Any] = {
-                "color": COLOURS[colour], "ls": STYLES[turn % len(STYLES)], "lw": 1.2, "mew": 0,
-                "ms": 3.5, "marker": MARKERS[(colour + turn) % len(MARKERS)], **self.style,
+                "color": COLOURS[colour], "lw": 1.2, "mew": 0, "ms": 3.5,
+                "marker": MARKERS[(colour + turn) % len(MARKERS)], **self.style,
                 "gid": f"line-{place}", "zorder": 3,
             }  # fmt: skip
+            # Without markers, lines are told apart in grey by their dashes.
+            look.setdefault("ls", STYLES[(turn if look["marker"] else place) % len(STYLES)])
             if look["ls"] == "":
                 look["marker"] = look["marker"] or "."
-                if drawn is not None:  # side by side, those that have a point there
+                if drawn is not None:  # side by side at each level
                     count = np.maximum(drawn.sum(axis=0), 1)
                     x = x + 0.5 * ((drawn[:order].sum(axis=0) + 0.5) / count - 0.5)
             if bars is not None:
                 axes.vlines(x, *bars, color=look["color"], lw=0.8, alpha=0.7, gid=look["gid"])
             axes.plot(x, curve.y, **look, label=words[curve.name])
-        if others:  # one line of all, in pieces
+        if others:  # one line with gaps
             gap, look = np.array([np.nan]), {"ls": "-", **self.style}
             x, y = (np.concatenate([part for curve in others for part in (curve[at], gap)])
                     for at in (1, 2))  # fmt: skip
@@ -113,13 +115,13 @@ class Panel:
             line = axes.axvline if axis == "x" else axes.axhline
             line(value, color=GREY, lw=0.8, ls="--", zorder=1)
 
-    def scale(self, axes: Axes, heights: Array, columns: int) -> None:
-        """Set ends, scales and numbers of the axes; `heights` are those of the whole row."""
+    def scale(self, axes: Axes, heights: Array, letters: int) -> None:
+        """Set limits, scales and ticks for the y values of a row, and `letters` along an axis."""
         if self.names:
             short = list(style.labels(self.names, 34).values())
-            is_long = sum(map(len, short)) + 2 * len(short) > 100 // columns  # letters
+            is_long = sum(map(len, short)) + 2 * len(short) > letters
             slant: dict[str, Any] = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
-            if is_long:  # slanted, each on one line: a second would touch its neighbour
+            if is_long:  # slanted, in one line
                 short = list(style.labels(self.names, 48).values())
             axes.set_xticks(range(len(short)), short, **(slant if is_long else {}))
             if self.style.get("ls") == "":
@@ -147,10 +149,10 @@ class Panel:
 
 
 def _named(panels: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
-    """Return what a legend calls each curve, the least rank first; None of those in grey.
+    """Return the legend of each curve, by ascending rank; None for a grey curve.
 
-    Curves without a point are taken out of the panels, and so are those that coincide with another
-    in all of them; where more are there than a legend takes, it names those of the least rank.
+    Curves without points, and curves that coincide with another in all panels, are removed from the
+    panels. The legend has the curves of smallest rank.
     """
     by_name: dict[str, dict[int, Curve]] = {}
     for place, panel in enumerate(panels):
@@ -169,7 +171,7 @@ def _named(panels: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
         curves = {curve.name: curve for curve in panel.curves}
         panel.curves = [curves[name] for name in names if name in curves]
     named = names if len(names) == NAMED_CURVES + 1 else names[:NAMED_CURVES]
-    every = style.labels(names, 52)  # what sets them apart from the grey ones too
+    every = style.labels(names, 52)  # distinct from the grey ones, too
     short = {name: every[name] for name in named}
     more = {name: f" and {size - 1} alike" * (size > 1) for name, size in count.items()}
     return {name: f"{short[name]}{more[name]}" if name in short else None for name in names}
@@ -177,23 +179,24 @@ def _named(panels: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
 
 def drawn(grid: Sequence[Sequence[Panel]], height: float,
           ranks: Ranks | None = None) -> Figure | None:  # fmt: skip
-    """Return panels as a figure under one legend, or None where no curve has a point.
+    """Return panels as a figure with one legend, or None if no curve has a point.
 
-    Words that a neighbour has too stand once; a row of panels has one range of y.
+    Labels that neighbouring panels share are drawn once; a row of panels has one range of y.
     """
     words = _named([panel for row in grid for panel in row], ranks or {})
     if not words:
         return None
     figure, axes_grid = style.panels(len(grid), len(grid[0]), height=height)
+    letters = round(100 / 7 * figure.get_figwidth()) // len(grid[0])
     for place, (row, axes_row) in enumerate(zip(grid, axes_grid, strict=True)):
         heights = np.concatenate([panel.heights for panel in row])
         below = grid[place + 1] if place + 1 < len(grid) else None
         for at, (panel, axes) in enumerate(zip(row, axes_row, strict=True)):
             panel.draw(axes, words)
-            panel.scale(axes, heights, len(row))
+            panel.scale(axes, heights, letters)
             is_last = below is None or below[at].x_label != panel.x_label
             is_first = not at or row[at - 1].y_label != panel.y_label
-            axes.set_xlabel(style.wrapped(panel.x_label, 100 // len(row)) if is_last else "")
+            axes.set_xlabel(style.wrapped(panel.x_label, letters) if is_last else "")
             axes.set_ylabel(panel.y_label if is_first else "")
             is_alike = is_first or row[at - 1].y_range != panel.y_range
             axes.tick_params(labelbottom=is_last or panel.x_range is not None, labelleft=is_alike)

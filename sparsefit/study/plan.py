@@ -1,39 +1,135 @@
-"""The plan of a study: ONE frame with unit, condition, candidate, title and factors of every case.
+"""A study file, checked, and its plan: one frame with unit, condition, candidate of every case.
 
+    definition = read_definition("studies/smoke.toml")
     case = unit x cell,    cell = condition x candidate
 
 A unit is what statistics draw whole (a flight with all its conditions; a regression problem), a
-candidate what is compared. Nothing is ever read back out of a name. An experiment, of which there
-are two, supplies units, cells and the way in which a batch of cases is run; all else is common.
+candidate what is compared. An experiment, of which there are two (flights; problems of regression),
+supplies units, cells and the way in which a batch of cases is run; all else is common.
 """
 
 from __future__ import annotations
 
+import hashlib
 import itertools
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
 from sparsefit.arrays import BoolArray
+from sparsefit.codec import Place, build
 from sparsefit.errors import InputError
+from sparsefit.study import crossing, keys, schema
 from sparsefit.study.columns import Column, Outcome
-from sparsefit.study.definition import Definition
-from sparsefit.study.worker import Ask
+from sparsefit.study.contenders import ProblemDesign, read_problem_design
+from sparsefit.study.crossing import FlightDesign
+from sparsefit.study.draw import Logs
+from sparsefit.study.schema import Section, canonical_json, read_toml
+from sparsefit.study.worker import Crew
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Columns: TypeAlias = Mapping[str, Sequence[Any]]
-T = TypeVar("T")
-Asking: TypeAlias = Generator[Ask | Outcome, Any, T]  # asks are sent an Answer; returns a T
+
+
+@dataclass(frozen=True, eq=False)
+class Definition:
+    """A study file, checked and resolved.
+
+    hash: of all that its cases depend on; on_board: whether every estimator is flown sample by
+    sample, as it would be exported.
+    """
+
+    path: str
+    name: str
+    kind: str
+    question: str
+    seed: int
+    hash: str
+    rules: keys.RunRule
+    outputs: keys.Outputs
+    selection: keys.SelectionRule
+    design: FlightDesign | ProblemDesign
+    on_board: bool = False
+
+    @property
+    def flights(self) -> FlightDesign:
+        """The design of a study of flights."""
+        if not isinstance(self.design, FlightDesign):
+            words = "is a study of regression problems, and flies nothing"
+            raise InputError(f"{self.path}: {words}: give a study of flights")
+        return self.design
+
+
+def read_definition(path: str | Path) -> Definition:
+    """The study that a TOML file describes.
+
+    Raises:
+        InputError: with the file, the section and the key (or the line) of the first fault.
+    """
+    return definition_of(read_toml(path), str(path))
+
+
+def definition_of(document: Section, path: str) -> Definition:
+    """The study of these tables; files that it names lie beside ``path``."""
+    place = Place(path)
+    heading, _ = schema.taken(keys.Heading, document, place)
+    flown = heading.kind == "flights"
+    kind: type[keys.FlightFile | keys.ProblemFile] = keys.FlightFile if flown else keys.ProblemFile
+    file = build(kind, document, place)
+    outputs = file.outputs
+    if outputs.script and not (Path(path).parent / outputs.script).is_file():
+        words = f'"{outputs.script}": no such file beside {Path(path).name}'
+        raise place.within("outputs").at("script").error(words)
+    words = str((outputs.tables, outputs.figures, outputs.headline))
+    if flown and not file.run.prediction_flights and "prediction-error" in words:
+        # All its cases would count as failures.
+        words = "missing: prediction-error needs other flights to predict along, 2 say"
+        raise place.within("run").at("prediction_flights").error(words)
+    design: FlightDesign | ProblemDesign
+    if isinstance(file, keys.FlightFile):
+        design = crossing.read_flight_design(file, place)
+    else:
+        design = read_problem_design(file, place)
+    return Definition(
+        path=path,
+        name=file.name,
+        kind="flights" if flown else "problems",
+        question=file.question,
+        seed=file.seed,
+        hash=hashlib.sha256(canonical_json(_content(document, design)).encode()).hexdigest(),
+        rules=file.run,
+        outputs=outputs,
+        selection=file.select,
+        design=design,
+    )
+
+
+def _content(document: Section, design: FlightDesign | ProblemDesign) -> object:
+    """All that the cases depend on: no comments, questions or words, but the files that are read.
+
+    Of protocols and sweeps, keys bare or in quotes are one content.
+    """
+    shown_only = ("kind", "question", "select", "outputs")
+    content: dict[str, object] = {k: v for k, v in document.items() if k not in shown_only}
+    if isinstance(design, ProblemDesign):
+        return [content, [source.identity for source in design.problems]]
+    listed = [{"name": name, **overrides} for name, overrides in design.protocols.items()]
+    flat = {"sweep": design.sweep, "protocols": listed}
+    rules = (cell.setup.flights for cell in design.cells)
+    logs = [piece.digest for each in rules if isinstance(each, Logs) for piece in each.pieces]
+    content |= {name: flat[name] for name in flat if name in document}
+    return content | ({"logs": list(dict.fromkeys(logs))} if logs else {})
 
 
 def telling(words: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """The words of each candidate that tell it apart, the others empty.
+    """The words of each candidate that distinguish it, the others empty.
 
     An aspect that all share, or that those before it settle, is left out: a title is the shortest.
     """
@@ -78,7 +174,7 @@ class Experiment(Protocol):
         return {}
 
     def case_id(self, unit: int, cell: int) -> str:
-        """The id of a case in its row, stable whatever else the study plans."""
+        """The id of a case in its row, independent of the other cases of the study."""
 
     def version(self, cell: int) -> str:
         """The code that makes the rows of a cell, here and now."""
@@ -100,15 +196,14 @@ class Experiment(Protocol):
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """The cases ``wanted`` (u, c) in batches."""
 
-    def run(self, batch: Batch) -> Asking[None]:
-        """Asks for workers, whose answers are sent in, and an outcome for each of the cells."""
+    def run(self, batches: Iterator[Batch], crew: Crew) -> Iterator[list[Outcome]]:
+        """The outcome of each of their cells, from the workers of a crew.
+
+        Those of a list are kept together or not at all: cases that are timed by turns, say.
+        """
 
     def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
         """The class of a desk by its name, and its arguments: what lives in a worker."""
-
-    def end(self) -> None:
-        """Let go of what a run has left, files and what its processes knew."""
-        return
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +238,7 @@ class Plan:
     def keys_of(self, columns: Mapping[str, Sequence[Any]], *, by_case: bool) -> list[str]:
         """The key of each row of `cases.parquet`, by its case_id or by its identity.
 
-        Flights are known by their number beside it, problems by the identity alone.
+        Simulated flights are known by their number beside it, logs and problems by identity alone.
         """
         if by_case:
             places, keys = self.place_of_case, self.keys
@@ -190,14 +285,13 @@ class Plan:
 
     def counts(self) -> dict[str, Any]:
         """The size of the study, JSON-ready: units, conditions, candidates, levels and cases."""
-        cells, definition = self.experiment.cells, self.experiment.definition
+        cells = self.experiment.cells
         return {
             "units": self.shape[0],
             "conditions": [name for name in dict.fromkeys(cells["condition"]) if name],
             "candidates": list(dict.fromkeys(cells["title"])),
             "levels": {key: len(set(map(str, cells[key]))) for key in self.experiment.factors()},
             "cases": self.size,
-            **{kind: names for kind, names in definition.outputs.names.items() if names},
         }
 
     def frame(self) -> pd.DataFrame:

@@ -1,110 +1,142 @@
-"""Outcomes of batches from killable workers: one that hangs or dies costs its own case.
+"""Outcomes of batches from killable workers: a case that hangs or dies ends in its own row.
 
-Each slot runs batches of the experiment as coroutines: they yield an `Ask`, are sent the `Answer`
-of a worker, and yield outcomes. Limits are kept here, on the wall; time in which this process
-itself was stopped is not charged.
+Each slot is a thread, in which the experiment takes batches and sends requests to the workers of a
+crew. Foreign code runs in workers only.
+
+On a dask cluster a task is a few batches. It runs them in a slot on the machine of the dask worker,
+so that limits hold there as well and a case that hangs or dies does not end the dask worker. Where
+a dask worker itself is lost, dask gives its tasks to another; the batches of a task that fails are
+tried one by one, and one that fails again is `crashed`.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from queue import Empty, SimpleQueue
+from threading import Event, Lock, Thread
+from typing import Any
 
-from sparsefit.errors import SparsefitError
+from sparsefit.errors import InputError, described, optional
 from sparsefit.study.columns import Outcome
-from sparsefit.study.plan import Asking, Batch, Experiment
-from sparsefit.study.worker import Answer, Ask, Worker, memory_limit, wait_for
-
-TICK = 0.5  # seconds between looks at the clock, at most
+from sparsefit.study.plan import Batch, Experiment
+from sparsefit.study.worker import TICK, Crew, memory_limit
 
 
-# Ours, as pebble times and blames whole tasks: cases that share a flight, a library and a path
-# would each need a task of their own (36480 libraries instead of 2280 in one shipped study), and
-# its busy workers outlive a parent that is killed.
+# Not pebble, whose limits are of whole tasks: cases that share a flight, a library and a path would
+# each need a task of their own (36480 libraries instead of 2280 in one shipped study), and its busy
+# workers outlive a parent that is killed.
 def outcomes(
     experiment: Experiment,
     batches: Iterator[Batch],
     processes: int,
     idle: Callable[[float], None] = lambda patience: None,
 ) -> Generator[Outcome, None, None]:
-    """Every cell of every batch as it ends; workers end with the generator.
+    """The outcome of every cell of every batch as it ends; workers end with the generator.
 
-    ``idle`` is called before workers are waited for, with the longest [s] that this takes.
+    ``idle`` is called before each wait for outcomes with its longest time [s], and never between
+    outcomes that arrive together.
     """
+    arriving, stop, lock = SimpleQueue[list[Outcome] | BaseException | None](), Event(), Lock()
+
+    def taken() -> Iterator[Batch]:
+        while True:
+            with lock:
+                batch = next(batches, None)
+            if batch is None:
+                return
+            yield batch
+
     memory = memory_limit(experiment.definition.rules.max_memory, processes)
-    slots = [Slot(experiment, _steps(experiment, batches), memory) for _ in range(processes)]
-    lost, looked = 0, time.monotonic()
+
+    def work() -> None:
+        with closing(Crew(experiment.desk, memory, stop)) as crew:
+            try:
+                for together in experiment.run(taken(), crew):
+                    arriving.put(together)
+                arriving.put(None)
+            except BaseException as error:
+                arriving.put(error)
+
+    slots = [Thread(target=work) for _ in range(processes)]
     try:
         for slot in slots:
-            yield from slot.go_on(None)
-        while busy := [(slot, slot.crew[slot.ask.desk]) for slot in slots if slot.ask]:
+            slot.start()
+        ended = 0
+        while ended < processes:
             idle(TICK)
-            until = min(worker.deadline for _, worker in busy) - time.monotonic()
-            wait_for([worker for _, worker in busy], min(until, TICK))
-            gap, looked = time.monotonic() - looked, time.monotonic()
-            for slot, worker in busy:
-                if gap > 6.0 * TICK:  # this process itself was stopped
-                    worker.deadline += gap - TICK
-                if (answer := worker.receive()) is None:
-                    continue
-                lost = 0 if answer.started else lost + 1
-                if lost >= 5:  # at fewer, memory may be free again later
-                    raise SparsefitError(
-                        f"{lost} worker processes in a row ended while they started "
-                        f"({answer.reason}): free memory, or take fewer --processes"
-                    )
-                yield from slot.go_on(answer)
-    finally:
-        for slot in slots:
-            for worker in slot.crew.values():
-                worker.close()
-            slot.steps.close()
-        experiment.end()
-
-
-def _steps(experiment: Experiment, batches: Iterator[Batch]) -> Asking[None]:
-    for batch in batches:
-        yield from experiment.run(batch)
-
-
-@dataclass(eq=False)
-class Slot:
-    """One place where batches run: their steps, its workers by desk, and what one is asked."""
-
-    experiment: Experiment
-    steps: Asking[None]
-    memory: float
-    crew: dict[str, Worker] = field(default_factory=dict)
-    ask: Ask | None = None
-
-    def go_on(self, answer: Answer | None) -> list[Outcome]:
-        """Go on with an answer until a worker is at work, or nothing is left to do.
-
-        A worker that did not even start is replaced, and asked again.
-        """
-        ask, self.ask = self.ask, None
-        if ask and answer and answer.lost:
-            self.crew.pop(ask.desk)
-        if ask and answer and not answer.started:
-            self._send(ask)
-            return []
-        ended = list[Outcome]()
-        while True:
             try:
-                event = self.steps.send(answer)
-            except StopIteration:
-                return ended
-            answer = None
-            if isinstance(event, Ask):
-                self._send(event)
-                return ended
-            ended.append(event)
+                event = arriving.get(timeout=TICK)
+            except Empty:
+                continue
+            if event is None:
+                ended += 1
+            elif isinstance(event, BaseException):
+                raise event
+            else:
+                yield from event
+    finally:
+        stop.set()
+        for slot in slots:
+            if slot.ident is not None:  # started
+                slot.join()
 
-    def _send(self, ask: Ask) -> None:
-        """Ask the worker of a desk, which is started where there is none."""
-        if ask.desk not in self.crew:
-            make, arguments = self.experiment.desk(ask.desk)
-            self.crew[ask.desk] = Worker.start(make, arguments, memory=self.memory)
-        self.ask = ask
-        self.crew[ask.desk].send(ask)
+
+@contextmanager
+def dask_client(scheduler: str) -> Iterator[Any]:
+    """The client of the dask scheduler at an address.
+
+    Raises:
+        MissingExtra: dask is not installed.
+        InputError: the scheduler cannot be reached, or has no workers.
+    """
+    dask = optional("distributed", "dask is not installed, leave --scheduler out or", "dask")
+    try:
+        connected = dask.Client(scheduler, timeout=10.0)
+    except (OSError, ValueError) as error:
+        cause = described(error)
+        raise InputError(f"the dask scheduler {scheduler} cannot be reached: {cause}") from None
+    with connected as client:
+        if not client.nthreads():
+            raise InputError(f"the dask scheduler {scheduler} has no workers yet: start some first")
+        yield client
+
+
+def outcomes_on_dask(
+    client: Any, experiment: Experiment, batches: Iterable[Batch], idle: Callable[[float], None]
+) -> Generator[Outcome, None, None]:
+    """The outcome of every cell of every batch, as its task ends on a dask worker."""
+    from distributed import as_completed
+
+    hands = sum(client.nthreads().values())
+    every = list(batches)
+    # A process starts for each task; all are to end at about the same time.
+    size = max(1, min(32, len(every) // (4 * max(hands, 1))))
+    there = client.scatter(experiment, broadcast=True)
+    ended, given, tried = as_completed(), dict[str, list[Batch]](), set[Batch]()
+
+    def submit(chunk: list[Batch]) -> None:
+        future = client.submit(run_batches, there, chunk, pure=False)
+        given[future.key] = chunk
+        ended.add(future)
+
+    for start in range(0, len(every), size):
+        submit(every[start : start + size])
+    for future in ended:
+        mine = given.pop(future.key)
+        if future.status == "finished":
+            yield from future.result()
+        elif tried.isdisjoint(mine):
+            tried.update(mine)
+            for batch in mine:
+                submit([batch])
+        else:
+            reason = f"the dask task failed: {described(future.exception())}"
+            for batch in mine:
+                yield from (Outcome(batch.unit, cell, "crashed", reason) for cell in batch.cells)
+        idle(0.0)
+
+
+def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[Outcome]:
+    """The outcomes of batches, computed on a dask worker in a process that can be killed."""
+    return list(outcomes(experiment, iter(batches), 1))

@@ -1,18 +1,18 @@
-"""The worker's side of a study of problems: solve what is in hand, and judge it in another process.
+"""A study of problems, worker side: solvers, and in another process the certificates.
 
-A solver's process (`SolverDesk`) meets each problem as a file. For every solve it makes arrays of
-its own: read-only copies at other addresses, with the signs of rows and of the target changed,
-(D Z, s D y) for signs D and s, which is the same problem with the solution s W in other bytes: an
-answer that was kept from an earlier call is none. Weights are written into a file that the parent
-has filled with NaN; whatever is not there when the clock stops is no answer.
+A `SolverDesk` reads each problem from a file. For every solve it makes new arrays: read-only copies
+at other addresses, with the signs of rows and of the target changed, (D Z, s D y) for signs D and
+s. That is the same problem with the solution s W in other bytes, so that a cached answer is wrong.
+Weights are written into a file that the parent has filled with NaN; those that are missing when the
+clock stops count as unanswered.
 
-The judge (`JudgeDesk`) has a process of its own. With V the answer, from the rows of the problem,
+A `JudgeDesk` certifies an answer V from the rows of the problem by
 
     excess = (P(V) - max(D, D_ref)) / (|Y|^2 / 2m),
 
-the worst over the path, with P the objective of the contender's weights, D the dual bound that its
-own residual gives and D_ref that of sparsefit's exact path at the same penalty. Any dual bound is a
-proof for everyone, by weak duality: a solver is not blamed for a poor dual point.
+the largest over the path, with P the primal objective, D the dual bound of the answer's residual
+and D_ref that of sparsefit's exact path at the same penalty. By weak duality either bound holds for
+every answer, so that a solver is not rated by its dual point.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import LateError, Recipe, answers
 from sparsefit.study.data_sets import Data
 from sparsefit.study.schema import canonical_json
-from sparsefit.study.worker import resident
+from sparsefit.study.worker import peak_memory
 
 FIRST_SECONDS = 120.0  # of a first call that may compile
 SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
@@ -51,12 +51,12 @@ SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Contender:
-    """A solver of an objective: a back-end with its settings, and who solves it.
+    """A solver of an objective, which is a back-end with its settings.
 
-    tolerances: where it is asked to stop, loosest first, NaN where it has none to set; missing: why
-    it cannot run here, empty where it can; family: what shares a process with it; certified:
-    whether checks of the data and certificates are in its time; limit: seconds [s] of a solve;
-    foreign: whether it is code that nobody ships; recipe: the solver, None for the back-end's own.
+    tolerances: requested ones, loosest first, NaN where it has none; missing: why it cannot run
+    here, empty where it can; family: solvers of one share a process; certified: whether checks of
+    the data and certificates are in its time; limit: of a solve [s]; foreign: whether its code is
+    the user's own; recipe: the solver, None for the back-end's own.
     """
 
     objective: str
@@ -72,9 +72,9 @@ class Contender:
     recipe: Recipe | None
 
     def killed(self, targets: int, *, first: bool = False) -> float:
-        """Seconds [s] after which a solve is killed: a command keeps its limits itself.
+        """The time [s] after which a solve is killed, longer than a command's own limits.
 
-        The first call of what ships may compile.
+        The first call of a solver that sparsefit knows may compile.
         """
         if self.recipe is not None and self.command:
             return self.limit + targets * self.recipe.start + FIRST_SECONDS
@@ -82,20 +82,22 @@ class Contender:
 
     @property
     def command(self) -> bool:
-        """Whether it is a program of its own, which keeps its clock and its limits itself."""
+        """Whether it is a program, with a clock and limits of its own."""
         return self.recipe is not None and bool(self.recipe.command)
 
     @property
     def files(self) -> list[Path]:
-        """The solver's own files: that of its class, or what of a command lies beside the study."""
+        """The solver's own files: that of its class, or those that the words of a command name.
+
+        The first word counts where it lies beside the study: elsewhere it is an interpreter.
+        """
         if self.recipe is None or not self.recipe.file:
             return []
         file = Path(self.recipe.file)
-        if not self.recipe.command:
-            return [file]
-        words = [(file.parent / word).resolve() for word in self.recipe.command]
-        home = file.parent.resolve()  # where an interpreter that is linked there does not lie
-        return [path for path in words if path.is_file() and path.is_relative_to(home)]
+        program, *files = [file.parent / word for word in self.recipe.command] or [file]
+        if program.resolve().is_relative_to(file.parent.resolve()):
+            files.insert(0, program)
+        return [path for path in files if os.path.isfile(path)]  # False of any odd word
 
     @property
     def settled(self) -> Any:
@@ -104,7 +106,7 @@ class Contender:
 
     @property
     def problem_of(self) -> str:
-        """The objective that it minimises, as canonical JSON."""
+        """Its objective, as canonical JSON."""
         return canonical_json([self.backend, dict(self.settings)])
 
     @property
@@ -115,7 +117,7 @@ class Contender:
 
 
 def write_data(data: Data, file: Path) -> None:
-    """The rows of a problem in a file, for `read_rows`."""
+    """Write the rows of a problem into a file for `read_rows`."""
     content: dict[str, Any] = {"target": data.target, "samples": data.samples or 0}
     if isinstance(data.theta, np.ndarray):
         content["theta"] = data.theta
@@ -127,7 +129,7 @@ def write_data(data: Data, file: Path) -> None:
 
 
 def read_rows(file: str) -> Data:
-    """The rows of a problem that the parent wrote."""
+    """Read the rows of a problem that `write_data` wrote."""
     with np.load(file, allow_pickle=False) as arrays:
         theta: Any = arrays.get("theta")
         if theta is None:
@@ -138,7 +140,7 @@ def read_rows(file: str) -> Data:
 
 
 def problem_of(data: Data, *, partial: bool = False) -> RegressionProblem:
-    """The regression problem of these rows; partial: where others of it are left out."""
+    """The regression problem of these rows; partial: whether they are some of a problem's."""
     arrays = (data.theta, data.target, data.groups)
     problem = RegressionProblem.from_arrays(*arrays, partial=partial)
     if data.samples is None:
@@ -147,7 +149,7 @@ def problem_of(data: Data, *, partial: bool = False) -> RegressionProblem:
 
 
 def part_of(data: Data, without: tuple[int, int] | None, seed: int) -> Data:
-    """A copy of the rows without a range, with signs by a seed, and read-only."""
+    """A read-only copy of the rows without a range, with signs drawn by a seed."""
     every = np.arange(len(data.target))
     chosen = slice(None) if without is None else np.delete(every, np.s_[slice(*without)])
     signs, sign = signs_of(len(data.target[chosen]), seed)
@@ -162,7 +164,7 @@ def part_of(data: Data, without: tuple[int, int] | None, seed: int) -> Data:
 
 
 def signs_of(rows: int, seed: int) -> tuple[Array, float]:
-    """The signs of the rows (m,) and of the target; seed 0 changes none."""
+    """The signs of the rows (m,) and of the target; all +1 for seed 0."""
     if not seed:
         return np.ones(rows), 1.0
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], rows)
@@ -172,7 +174,7 @@ def signs_of(rows: int, seed: int) -> tuple[Array, float]:
 def solve(
     contender: Contender, problem: RegressionProblem, fractions: Sequence[float], tolerance: float
 ) -> Sequence[Solution]:
-    """The contender's answers, one per penalty; uncertified unless that is in its time."""
+    """The contender's answers, one per penalty; certified only where that is in its time."""
     backend = contender.settled
     stop, requested = None if math.isnan(tolerance) else tolerance, tuple(fractions)
     if contender.certified:
@@ -200,7 +202,7 @@ def own_fraction(backend: Any) -> tuple[float, ...]:
 
 
 def small_problem() -> RegressionProblem:
-    """Twelve columns in groups of three, two targets: the problem of a first call."""
+    """The problem of a first call: twelve columns in groups of three, two targets."""
     draw = np.random.default_rng(0)
     theta = draw.standard_normal((40, 12))
     target = theta[:, :2] @ draw.standard_normal((2, 2)) + 0.1 * draw.standard_normal((40, 2))
@@ -208,7 +210,7 @@ def small_problem() -> RegressionProblem:
 
 
 class SolverDesk:
-    """Solves for the contenders of one family, one call at a time, a path or a single fit each."""
+    """Runs the contenders of one family, a path or a single fit at a time."""
 
     def __init__(self, contenders: Sequence[Contender], fractions: Sequence[float]) -> None:
         self._contenders, self._fractions = contenders, fractions
@@ -220,7 +222,7 @@ class SolverDesk:
         os.dup2(silent, 2)
 
     def nothing(self) -> None:
-        """An ask whose time is the clock's own."""
+        """An empty request, whose time is the overhead of one."""
 
     def ready(
         self,
@@ -230,21 +232,22 @@ class SolverDesk:
         seed: int,
         without: tuple[int, int] | None,
         weights: str,
+        shape: tuple[int, int, int],
     ) -> Mapping[str, Any]:
-        """Copy the rows of a file, to be solved next; the memory before that."""
+        """Copy the rows of a file for the next solve; returns the resident memory before it."""
         if self._data is None or self._data[0] != file:
             self._data = (file, read_rows(file))
         part = part_of(self._data[1], without, seed)
         problem = problem_of(part, partial=without is not None)
         self._work = (self._contenders[contender], problem, self._fractions, tolerance)
-        self._into = np.lib.format.open_memmap(weights, mode="r+")
+        self._into = np.memmap(weights, float, "r+", shape=shape)
         memory = _peak_from_here()
         gc.collect()
         gc.disable()
         return {"memory": memory}
 
     def first(self, contender: int, tolerance: float) -> Mapping[str, Any]:
-        """A first call, on a small problem, of which it only counts that a command was late."""
+        """A first call, on a small problem; its answer is not used."""
         self._work = (self._contenders[contender], small_problem(), self._fractions, tolerance)
         self._into = ()
         answer = self.solve()
@@ -253,7 +256,7 @@ class SolverDesk:
         return answer
 
     def solve(self) -> Mapping[str, Any]:
-        """Solve, and write what is an answer; all of it counts as time."""
+        """Solve and write the weights; the whole call is timed."""
         work, self._work = self._work, ()
         try:
             solutions = solve(*work)
@@ -268,11 +271,11 @@ class SolverDesk:
         worst = max(solutions, key=lambda each: rank.get(each.status, 3), default=None)
         words = f"{worst.solver_status} {worst.reason}" if worst else "no answer"
         clock = worst.clock if worst else None
-        return {"words": one_line(words, 200), "memory": resident(), "clock": clock}
+        return {"words": one_line(words, 200), "memory": peak_memory(), "clock": clock}
 
 
 class JudgeDesk:
-    """Judges answers from the rows of a problem, in a process that no solver shares."""
+    """Certifies answers from the rows of a problem, in a process that no solver shares."""
 
     def __init__(self, contenders: Sequence[Contender], fractions: Sequence[float]) -> None:
         self._contenders, self._fractions = contenders, fractions
@@ -281,8 +284,8 @@ class JudgeDesk:
         self._bounds: dict[str, Array] = {}
 
     def verdict(self, file: str, contender: int, weights: str) -> Mapping[str, Any]:
-        """The kind of the certificate, its worst value, and the excess, of the weights (p, k, n) of
-        a contender on the problem in a file.
+        """The kind of certificate, its largest value and the excess of the weights (p, k, n) in a
+        file, a contender's answer to the problem in another.
         """
         if file != self._file:
             self._file, self._problem, self._bounds = file, problem_of(read_rows(file)), {}
@@ -310,11 +313,11 @@ class JudgeDesk:
 
 
 def _peak_from_here() -> float | None:
-    """Megabytes resident now [MB], with the highest so far forgotten; None without /proc."""
+    """Reset the peak memory; the resident memory [MB] now, None without /proc."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
     with suppress(OSError):
         with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
             file.write("5")
-        return resident("VmRSS")
+        return peak_memory()
     return None

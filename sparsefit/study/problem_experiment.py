@@ -1,9 +1,9 @@
 """The experiment with regression problems: units are problems, candidates are solvers.
 
 A case is one solver at one tolerance on one problem: a whole path of penalties with [path], a
-single fit without. Cases of one problem and one objective are judged one by one and timed by turns
-until the median is known; every timed repeat returns its answer, and each is judged. A study of
-`kind = "problems"` has solvers fit parts of the rows, too, and judges them by the rest.
+single fit without. Cases of one problem and one objective are certified one by one and timed by
+turns until the median is known; the answer of every timed repeat is checked. A study of
+`kind = "problems"` also cross-validates.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,20 +21,22 @@ import numpy as np
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.study.arena import JUDGE, Arena, size_of
-from sparsefit.study.columns import PROBLEM_COLUMNS
+from sparsefit.study.columns import PROBLEM_COLUMNS, Outcome
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.data_sets import Data, shipping
 from sparsefit.study.manifest import code_version, processor, versions
-from sparsefit.study.plan import Asking, Batch, Experiment, telling
+from sparsefit.study.plan import Batch, Experiment, telling
 from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
 from sparsefit.study.schema import canonical_json, digest, numbered
+from sparsefit.study.worker import Crew
+from sparsefit.whole_file import refusing
 
 ON = " on "  # between the code and the machine
 
 
 @dataclass(frozen=True, eq=False)
 class ProblemExperiment(Experiment):
-    """Problems x (solvers x tolerances x settings); no time of theirs is like another."""
+    """Problems x (solvers x tolerances x settings), timed one at a time."""
 
     columns = PROBLEM_COLUMNS
     called = ("backend", "objective", "solver")
@@ -81,22 +85,22 @@ class ProblemExperiment(Experiment):
         }  # fmt: skip
 
     def case_id(self, unit: int, cell: int) -> str:
-        """The number of the problem and a digest of the case: `003-9f1c0d6a41b2e857`."""
+        """The problem's number and a digest of the case: `003-9f1c0d6a41b2e857`."""
         content = self.units["identity"][unit] + self.cells["identity"][cell]
         return f"{unit:03d}-{digest(content)}"
 
     def version(self, cell: int) -> str:
-        """The code, a plug-in's, and on what it runs."""
+        """The version of the code and of a plug-in, and a digest of the machine."""
         name = self.design.contenders[self.design.cells[cell][0]].backend
         return f"{code_version(backends.distribution(name))}{ON}{self._machine}"
 
     @cached_property
     def _machine(self) -> str:
-        """On what the times of one comparison are taken."""
+        """A digest of the processor and the versions of what computes."""
         return digest(canonical_json([processor(), os.cpu_count(), versions()]))[:8]
 
     def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
-        """The cells that take turns with a case ``wanted``, and all that was timed elsewhere."""
+        """All cells that are timed with a case ``wanted``, and those timed on another machine."""
         here = np.array([word.rpartition(ON)[2] in ("", self._machine) for word in version])
         if not wanted.any():
             return wanted
@@ -118,7 +122,7 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def _data(self) -> list[Data]:
-        """Every problem, so that one that is none is refused before work starts."""
+        """Every problem, so that a bad one is refused before work starts."""
         return [source.build() for source in self.design.problems]
 
     def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
@@ -129,24 +133,22 @@ class ProblemExperiment(Experiment):
     def check(self) -> None:
         """Refuse data sets whose package is missing."""
         for source in self.design.problems:
-            if source.dataset:
-                shipping(source.dataset)
+            if source.keys.dataset:
+                shipping(source.keys.dataset)
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
-        """All cases of one problem and one objective, which take turns."""
+        """All cases of one problem and one objective, which are timed by turns."""
         _ = self._data
         for unit in np.flatnonzero(wanted.any(axis=1)).tolist():
             for cells in self._objectives.values():
                 if mine := [cell for cell in cells if wanted[unit, cell]]:
                     yield Batch(unit, tuple(mine))
 
-    def run(self, batch: Batch) -> Asking[None]:
-        return self._arena.run(batch.unit, self._data[batch.unit], batch.cells)
-
-    def end(self) -> None:
-        if "_arena" in self.__dict__:
-            self.__dict__.pop("_arena").home.cleanup()
-
-    @cached_property
-    def _arena(self) -> Arena:
-        return Arena(self.design)
+    def run(self, batches: Iterator[Batch], crew: Crew) -> Iterator[list[Outcome]]:
+        with (
+            TemporaryDirectory(prefix="sparsefit-", ignore_cleanup_errors=True) as home,
+            refusing(home),
+        ):
+            arena = Arena(self.design, Path(home), crew)
+            for batch in batches:
+                yield arena.outcomes(batch.unit, self._data[batch.unit], batch.cells)

@@ -1,8 +1,8 @@
-"""Statistics over flights and problems: the unit is drawn whole, with every case made of it.
+"""Summaries and intervals over units, which are flights or problems.
 
-Numbers stand as a grid (..., units, cases of each), NaN where a case has none. Candidates are
-tried on the same units, so the same units are drawn for all of them (paired). Intervals are
-percentiles of a bootstrap over units (Efron, 1979), shares have Wilson's interval (Wilson, 1927).
+Values form an array (..., units, cases of a unit), with NaN for missing ones. Intervals are
+percentiles of a bootstrap that draws whole units, the same ones for all candidates (Efron, 1979);
+shares have Wilson intervals (Wilson, 1927).
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 
 Statistic: TypeAlias = Callable[[Array], Array]  # of (..., units, cases), (...,)
 RESAMPLES = 2000
-CHUNK = 4_000_000  # numbers drawn at once, by the memory that they take
-ROUNDING = 1e-9  # of the larger of two numbers: no difference
-TINY = 1e-6  # percent: a smaller error is quadrature and rounding
+CHUNK = 4_000_000  # numbers drawn at once, a limit of memory
+ROUNDING = 1e-9  # relative difference of equal numbers
+TINY = 1e-6  # percent: smaller errors are due to quadrature and rounding
 QUANTILES = {"median": 0.5, "9 of 10": 0.9, "95th percentile": 0.95}
 
 
 def mean(values: Array) -> Array:
-    """Return the mean (...,) of (..., n) numbers that are not NaN; NaN of none."""
+    """Return the mean (...,) over the last axis, NaN excluded; NaN if all are."""
     finite = ~np.isnan(values)
     count = finite.sum(axis=-1)
     total: Array = np.where(finite, values, 0.0).sum(axis=-1)
@@ -46,10 +46,10 @@ SUMMARY_NAMES = (*QUANTILES, *SUMMARIES)
 
 
 def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
-    """Return the quantile (...,) of (..., n) numbers that are not NaN; infinity is the largest.
+    """Return the quantile (...,) over the last axis, NaN excluded; infinity is a valid value.
 
-    Linear between observations (Hyndman and Fan's definition 7), or `observed`, the least value
-    that so large a share does not exceed (definition 1): there is no value halfway to a failure.
+    Linear between observations (Hyndman and Fan, 1996, definition 7), or an `observed` value
+    (definition 1), as an interpolation between a value and a failure has no meaning.
     """
     ordered = np.sort(values, axis=-1)  # NaN comes last
     count = (~np.isnan(ordered)).sum(axis=-1)
@@ -60,14 +60,14 @@ def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
     first, second = (
         np.take_along_axis(ordered, at[..., None], axis=-1)[..., 0] for at in (low, high)
     )
-    exact = (first == second) | (place == low)  # two infinities have no number between them
+    exact = (first == second) | (place == low)  # inf - inf would be NaN
     start, end = np.where(exact, 0.0, first), np.where(exact, 0.0, second)
     between: Array = start + (place - low) * (end - start)
     return np.where(count > 0, np.where(exact, first, between), np.nan)
 
 
 def by_unit(values: Array, units: pd.Series) -> Array:
-    """Return the numbers (rows,) of cases of units (rows,) as a grid (units, cases of each)."""
+    """Return the values (rows,) of cases of units (rows,) as an array (units, cases of a unit)."""
     import pandas as pd
 
     place, rows = pd.factorize(units)
@@ -78,17 +78,17 @@ def by_unit(values: Array, units: pd.Series) -> Array:
 
 
 def pooled(reduce: Statistic) -> Statistic:
-    """Return the summary of a grid (..., units, cases), all cases of the units together."""
+    """Return a summary of arrays (..., units, cases) over both axes."""
     return lambda grid: reduce(grid.reshape(*grid.shape[:-2], -1))
 
 
 def resampled(statistic: Callable[[IntArray], Array], units: int, width: int = 1, seed: int = 0,
               resamples: int = RESAMPLES) -> Array:  # fmt: skip
-    """Return a statistic (resamples,) of units drawn with replacement, as many as there are.
+    """Return the bootstrap distribution (resamples,) of a statistic.
 
     Args:
-        statistic: of the places (n, units) of drawn units, (n,); one seed draws one set of places.
-        width: the numbers of a unit, by which the work is cut to what memory holds.
+        statistic: a function of the indices (n, units) of drawn units that returns (n,) values.
+        width: numbers of values of a unit, for the limit of memory.
     """
     rng = np.random.default_rng(seed)
     each = max(1, CHUNK // max(1, units * width))
@@ -97,20 +97,20 @@ def resampled(statistic: Callable[[IntArray], Array], units: int, width: int = 1
 
 
 def ends(distribution: Array) -> tuple[float, float]:
-    """Return the 95 % percentile interval of resampled values; NaN of none."""
+    """Return the 95 % percentile interval of a bootstrap distribution."""
     low, high = (float(quantile(distribution, share)) for share in (0.025, 0.975))
     return low, high
 
 
 def interval(statistic: Statistic, grid: Array) -> tuple[float, float]:
-    """Return the 95 % interval of a statistic of a grid (units, cases); NaN of a single unit."""
+    """Return the 95 % interval of a statistic of values (units, cases); NaN for a single unit."""
     if len(grid) < 2:
         return math.nan, math.nan
     return ends(resampled(lambda at: statistic(grid[at]), len(grid), grid[0].size))
 
 
 def wilson(part: float, whole: int) -> tuple[float, float]:
-    """Return the 95 % Wilson score interval [%] of a share of `whole` units; NaN of none."""
+    """Return the 95 % Wilson score interval [%] of the share part/whole; NaN if whole is 0."""
     if not whole:
         return math.nan, math.nan
     p, z2 = part / whole, 1.959963984540054**2
@@ -123,7 +123,7 @@ def wilson(part: float, whole: int) -> tuple[float, float]:
 class Difference:
     """A difference with its 95 % interval.
 
-    identical: whether the two agree to rounding in every case.
+    identical: whether both candidates have equal values, to rounding, in every case.
     """
 
     effect: float
@@ -133,14 +133,14 @@ class Difference:
 
     @property
     def tie(self) -> bool:
-        """Whether the interval holds 0."""
-        return not (self.low > 0.0 or self.high < 0.0)
+        """Whether the interval contains 0; for a single unit, whether the values are identical."""
+        return self.identical or self.low <= 0.0 <= self.high
 
 
 def ratio(numerator: Array, denominator: Array) -> tuple[float, float, float]:
     """Return the geometric mean of paired ratios (n,) and its 95 % interval over the pairs.
 
-    Pairs with a value that is not finite are left out; the interval of fewer than five is NaN.
+    Pairs with a value that is not finite are excluded; with fewer than five the interval is NaN.
     """
     logs = np.log(numerator) - np.log(denominator)
     logs = logs[np.isfinite(logs)]

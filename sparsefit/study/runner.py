@@ -1,8 +1,8 @@
-"""Run a study: compute the cases that have no row, and leave finished results behind.
+"""Run a study: compute the cases that have no row, and write the finished results.
 
-One run at a time holds a results folder. Rows are on the disk half a second after they are known;
-an interrupted run, by Ctrl-C or SIGKILL, goes on from there. Parts that ran in several places, with
-`--only` say, are brought together by `merge`.
+A results folder is locked by one run at a time. Rows are written to disk within half a second; a
+run that was interrupted, by Ctrl-C or SIGKILL, is resumed from there. `merge` collects parts that
+ran in several places, with `--only` for instance.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
@@ -23,7 +23,7 @@ from sparsefit.errors import InputError, is_integer, told_with
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.manifest import MANIFEST, check_whole, write_manifest
 from sparsefit.study.plan import Plan
-from sparsefit.study.pool import outcomes
+from sparsefit.study.pool import dask_client, outcomes, outcomes_on_dask
 from sparsefit.study.store import CASES, STORE, Row, Store, discard
 from sparsefit.whole_file import refusing
 
@@ -32,12 +32,12 @@ Progress: TypeAlias = Callable[[int, int, float | None], None]
 
 @dataclass(frozen=True)
 class RunSummary:
-    """The progress of a study, finished or not, and what a run did for it.
+    """The progress of a study, finished or not, and of its last run.
 
-    statuses: counts of all rows; stale: how many are of other code than this; versions: how many
-    each version made; dropped: rows of cases that the study no longer plans; damaged: rows that
-    could not be read; resumed: rows that were there before the run, which computed `computed` cases
-    in `seconds` [s] on `processes`.
+    statuses: counts of all rows; stale: of rows of another version of the code; versions: of rows
+    by version; dropped: rows of cases that the study no longer plans; damaged: rows that could not
+    be read; resumed: rows from before the run, which computed `computed` cases in `seconds` [s] on
+    `processes`.
     """
 
     folder: Path
@@ -54,7 +54,7 @@ class RunSummary:
 
     @classmethod
     def of(cls, store: Store, **run: Any) -> RunSummary:
-        """The summary of what is in a store."""
+        """The summary of a store."""
         statuses, versions = (Counter(filter(None, all_)) for all_ in (store.status, store.version))
         counts = (statuses, int(store.stale.sum()), versions, store.unplanned, store.damaged)
         return cls(store.folder, store.plan.size, *counts, **run)
@@ -82,18 +82,18 @@ def run(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> RunSummary:
-    """Run a study into its folder: cases that have a row there are not computed again.
+    """Compute the cases of a study that have no row in its folder.
 
-    A row counts for any study that plans its case: one that changed computes what is new, and
-    leaves out what it no longer plans.
+    A row is valid for any study that plans its case: a study that has changed computes its new
+    cases, and drops those that it no longer plans once it is finished.
 
     Args:
-        processes: how many work, None for as many as there are processors.
-        fresh: start over.
+        processes: the number of worker processes; by default that of the processors.
+        fresh: discard all rows first.
         retry_failed: compute cases again that ended as error, timeout or crashed.
-        stale: compute cases again that other code has computed.
-        only: compute no cases but those of these names.
-        scheduler: the address of a dask scheduler, whose workers compute in place of processes of
+        stale: compute cases again whose rows are of another version of the code.
+        only: compute only the cases of these names.
+        scheduler: the address of a dask scheduler, whose workers take the place of processes of
             this machine.
         progress: called with (cases done, cases planned, seconds left or None).
 
@@ -107,11 +107,13 @@ def run(
     if experiment.alone and (processes not in (None, 1) or scheduler):
         words = "solvers are timed one at a time, here: leave --processes and --scheduler away"
         raise InputError(words)
-    # In a container there are fewer processors than the machine has.
+    # A container may have fewer processors than the machine.
     here = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
     count = 1 if experiment.alone else processes or len(here(0))
-    with locked(folder):
+    named = plan.named(only) if only else True
+    with locked(folder), dask_client(scheduler) if scheduler else nullcontext() as client:
         if fresh:
+            experiment.check()  # before rows are discarded
             discard(folder, CASES, MANIFEST)
         store = Store.read(folder, plan)
         wanted = ~store.done
@@ -119,30 +121,28 @@ def run(
             wanted |= store.failed
         if stale:
             wanted |= store.stale
-        if only:
-            wanted &= plan.named(only)
-        wanted = experiment.whole(wanted, store.done, store.version)
+        wanted = experiment.whole(wanted & named, store.done, store.version)
         if store.finished and not wanted.any():
             return RunSummary.of(store, resumed=plan.size)
         experiment.check()
         resumed, total, computed = int((store.done & ~wanted).sum()), int(wanted.sum()), 0
         with Store.opened(folder, plan) as store:
             batches = experiment.batches(wanted)
-            if scheduler:
-                from sparsefit.study.dask_executor import outcomes_on_dask
-
-                arriving = outcomes_on_dask(scheduler, experiment, batches, store.sync)
+            if client:
+                arriving = outcomes_on_dask(client, experiment, batches, store.sync)
             else:
                 arriving = outcomes(experiment, batches, count, store.sync)
-            tell = progress or (lambda *_: None)
+            tell, first = progress or (lambda *_: None), math.nan
             tell(resumed, resumed + total, None)
             with closing(arriving):
                 for outcome in arriving:
                     store.put(outcome, plan.versions[outcome.cell])
-                    computed, spent = computed + 1, time.monotonic() - begun
-                    if computed == total or spent - shown > 0.2:  # [s], what an eye can follow
-                        shown = spent
-                        ahead = spent / computed * (total - computed)
+                    computed, now = computed + 1, time.monotonic()
+                    first = now if computed == 1 else first
+                    if computed == total or now - shown > 0.2:  # [s], what an eye can follow
+                        shown, ahead = now, None
+                        if computed > 5:  # the first ones include the start of workers
+                            ahead = (now - first) / (computed - 1) * (total - computed)
                         tell(resumed + computed, resumed + total, ahead)
             seconds = time.monotonic() - begun
             made = {"resumed": resumed, "computed": computed, "seconds": seconds}
@@ -168,10 +168,10 @@ def run(
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder, made if need be, against other runs by a lock that goes with its process.
+    """Create the folder and lock it against other runs; the lock ends with its process.
 
     Raises:
-        InputError: if another run holds it, or the folder cannot be written.
+        InputError: if another run has locked it, or the folder cannot be written.
     """
     with refusing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -189,7 +189,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 class MergedPart(NamedTuple):
-    """One folder that rows were taken from: how many it had, and how many were new."""
+    """A folder that was merged: the number of its rows, and of those that were new."""
 
     folder: Path
     rows: int
@@ -197,14 +197,14 @@ class MergedPart(NamedTuple):
 
 
 def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedPart]:
-    """Take into the folder of a study the rows that the parts, results folders of it, have.
+    """Copy the rows of other results folders of a study into its own.
 
-    No file is believed without the checksum that its manifest tells. Once all rows are there the
-    study is finished, as if it had been run here.
+    A Parquet file needs its checksum in the manifest beside it. Once all rows are there the study
+    is finished, as if it had been run here.
 
     Raises:
         InputError: if a part is no results folder, is damaged or of another study, if two rows of
-            one case differ (nothing is taken then), the folder is in use, or the study is of
+            one case differ (no row is copied then), the folder is in use, or the study is of
             solvers, which are timed by turns in one run.
     """
     name = plan.experiment.definition.name
@@ -240,7 +240,7 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
 
 
 def _alike(first: Row, second: Row) -> bool:
-    """Whether two rows of one case agree, numbers to 6 digits, as on another machine."""
+    """Whether two rows of one case agree: status, and estimates to 6 digits, as across machines."""
     mine, other = json.loads(first.body), json.loads(second.body)
     names = [f"est_{name}" for name in PARAMETERS]
     near = (math.isclose(mine.get(n, 0.0), other.get(n, 0.0), rel_tol=1e-6) for n in names)

@@ -21,8 +21,9 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar, cast
 
 from sparsefit.codec import Place, build, shown
 from sparsefit.errors import InputError
@@ -150,7 +151,7 @@ def described(sentence: str, unit: str, range: Range, default: Any = MISSING) ->
     """The words of a key: its sentence, unit, range and default."""
     words = [sentence, unit and f"[{unit}]", range.words and f"({range.words})"]
     if default not in (MISSING, None, "", ()):
-        words.append(f"Default {shown(default)}.")
+        words.append(f"Default {json.dumps(default)}.")
     return " ".join(word for word in words if word)
 
 
@@ -165,9 +166,16 @@ def names_of(kind: type[Any]) -> tuple[str, ...]:
 
 
 def taken(kind: type[Record], values: Section, place: Place) -> tuple[Record, dict[str, object]]:
-    """The record of those keys that are its fields, and the other keys."""
+    """The record of those keys that are its fields, and the other keys.
+
+    Another key that is near one that is missing is refused as a slip of that.
+    """
     rest = dict(values)
     own = {name: rest.pop(name) for name in names_of(kind) if name in rest}
+    for item in fields(cast(Any, kind)):
+        needed = item.default is item.default_factory is MISSING and item.name not in own
+        for slip in get_close_matches(item.name, rest, 1) if needed else ():
+            raise place.at(slip).error(f'unknown: did you mean "{item.name}"?')
     return build(kind, own, place), rest
 
 

@@ -1,8 +1,8 @@
-"""From a finished study to one candidate that can be defended, or to the reason why there is none.
+"""Selection of a candidate of a finished study, or the reason why none is selected.
 
-A candidate is chosen on the units of split `validate` and scored once on those of split `evaluate`:
-of all that keep every constraint in every regime, the first listed within the margin of the best.
-What the units do not tell from it is a tie.
+The choice is made on the units of split `validate` and scored once on those of `evaluate`: of the
+candidates that keep every constraint in every regime, the first listed within the margin of the
+best. A candidate whose difference from the chosen one is not significant is tied.
 """
 
 from __future__ import annotations
@@ -37,15 +37,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The choice by a rule, and every candidate with its evidence.
+    """The selected candidate, and the evidence of all candidates.
 
-    ranked: a row a candidate, the best first: `candidate`, `title`, `reading` and `label` in words;
-    `validate` and `evaluate`, the criterion on either split, `low` and `high` its 95 % interval on
-    evaluate, `by_regime` (regimes,) there; `breaches`, what it does not keep on validate, `broken`
-    on evaluate; `apart`, its loss on validate less that of the chosen; `within`, the margin.
-    chosen: a row; None where no candidate keeps the constraints. regret: how much worse the chosen
-    is on evaluate than `hindsight`, the best there of those that keep the constraints on validate.
-    latencies: a row of the latency frame by candidate; refused: why others cannot be on board.
+    ranked: a row per candidate, best first: `candidate`, `title`, `reading`, `backend`, `label`;
+    `validate`, `evaluate`, the criterion on each split; `between`, its 95 % interval on evaluate;
+    `by_regime` (regimes,) there; `breaches`, `broken`, the constraints violated on validate and on
+    evaluate; `apart`, the difference of its loss on validate from that of the chosen; `within`,
+    whether it is within the margin. chosen: a row, or None if no candidate satisfies the
+    constraints. regret: excess loss of the chosen on evaluate over `hindsight`, the best there of
+    those that satisfy the constraints on validate. latencies: a row of the latency frame by
+    candidate; refused: reasons of candidates without an on-board form.
     """
 
     study: str
@@ -62,17 +63,17 @@ class Selection:
 
     @property
     def passing(self) -> list[Any]:
-        """The candidates that keep every constraint, the best first."""
+        """The candidates that satisfy every constraint, the best first."""
         return [each for each in self.ranked if not each.breaches]
 
     @property
     def tied(self) -> list[Any]:
-        """Those that keep everything and that the validate units do not tell from the chosen."""
+        """The candidates that satisfy every constraint and do not differ significantly."""
         return [each for each in self.passing if each.apart is not None and each.apart.tie]
 
     @property
     def contenders(self) -> list[str]:
-        """The chosen candidate and what is not ruled out: tied, or within the margin."""
+        """The chosen candidate and those that are tied with it or within the margin."""
         return [each.candidate for each in self.passing if each.within or each in self.tied]
 
     @property
@@ -81,7 +82,7 @@ class Selection:
         return unit_of(self.cases)
 
     def counted(self, count: int) -> str:
-        """Return a number of units in words, `1 problem`."""
+        """Return a number with the word for units, `1 problem`."""
         return f"{count} {self.unit}{'s' * (count != 1)}"
 
     def __str__(self) -> str:
@@ -90,10 +91,10 @@ class Selection:
 
 @dataclass(frozen=True)
 class Check:
-    """The chosen candidate on units of fresh seeds, and its regret against the best of them there.
+    """The score of the chosen candidate on units of a new seed, and its regret there.
 
-    score, between: the criterion and its 95 % interval; broken: what it does not keep there;
-    hindsight: the title of the best; candidates: how many were run.
+    score, between: the criterion and its 95 % interval; broken: violated constraints;
+    hindsight: the title of the best candidate; candidates: the number that was run.
     """
 
     units: int
@@ -113,7 +114,7 @@ def select(
     refusals: Mapping[str, str] | None = None,
     **options: Any,
 ) -> Selection:
-    """Choose a candidate by a rule, that of the study unless another is given.
+    """Select a candidate by a rule, by default that of the study.
 
     Args:
         latencies: `median` [s], `p99` [s], `memory` [MB] and `busy` (share) by candidate, as the
@@ -122,8 +123,8 @@ def select(
         options: of [select], in place of those of the rule.
 
     Raises:
-        InputError: if the rule names what does not exist, the study has no split or is
-            unfinished, or its candidates were not tried alike.
+        InputError: if the rule has unknown names, the study has no split or is unfinished, or
+            its candidates have different units.
     """
     rule = rule or study.definition.selection
     rule = rule.changed(**options) if options else rule
@@ -151,7 +152,8 @@ def select(
     best = float(first.loss[passing[0]]) if passing else math.nan
     limit = best + (rule.margin + ROUNDING) * abs(best) + criterion.measure.least
     within = [at for at in passing if first.loss[at] <= limit]
-    chosen = min(within, default=None)  # the first listed is the simplest
+    # The first listed is the simplest; an infinite loss recommends nobody.
+    chosen = min(within) if math.isfinite(best) else None
     places = range(len(order))
     values: dict[str, Any] = {
         "validate": criterion.sign * first.loss, "evaluate": criterion.sign * last.loss,
@@ -175,7 +177,10 @@ def select(
 
 
 def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
-    """Return `candidate`, `title`, the reading with its factors, and the back-end's `label`."""
+    """Return `candidate`, `title`, `reading` with its factors, `backend` and `label`.
+
+    A label that several candidates of a reading share is replaced by what their titles say.
+    """
     import pandas as pd
 
     of_units = ("flights.", "problems.")
@@ -184,13 +189,18 @@ def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
         levels = (f"{factor_words(n)} none" if row[n] == "none" else str(row[n]) for n in own)
         words = [str(row.get("reading", row.get("protocol", ""))), *levels]
         reading = ", ".join(part for part in words if part and part != "default")
-        label = str(row.get("label") or row["backend"])
-        rows.append((str(row["candidate"]), str(row["title"]), reading, label))
-    return pd.DataFrame(rows, columns=["candidate", "title", "reading", "label"])
+        title, backend = str(row["title"]), str(row["backend"])
+        rows.append((str(row["candidate"]), title, reading, backend, row.get("label") or backend))
+    frame = pd.DataFrame(rows, columns=["candidate", "title", "reading", "backend", "label"])
+    parts = zip(frame["title"], frame["reading"], strict=True)
+    own = [title.removeprefix(f"{reading}: ") for title, reading in parts]
+    return frame.assign(
+        label=frame["label"].mask(frame.duplicated(["reading", "label"], keep=False), own)
+    )
 
 
 def check_rule(study: Any) -> None:
-    """Refuse, before anything is run, a [select] whose measure or `over` is unknown.
+    """Refuse a [select] with an unknown measure or `over` before anything is run.
 
     Raises:
         InputError: with the nearest name that is known.
@@ -208,12 +218,16 @@ def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     summary, name = rule.measure
     with told_with("[select] over"):
         one_of("regime", rule.over, ("average", "worst", *regimes))
+    kind = "problems" if "objective" in cases else "flights"
     with told_with("[select] criterion"):
-        return Criterion(measures.measure(f"{summary or 'mean'} {name}"), regimes, rule.over)
+        measure = measures.measure(f"{summary or 'mean'} {name}")
+        if measure.kind not in ("", kind):
+            raise InputError(f'"{name}" is a measure of {measure.kind}, not of {kind}')
+        return Criterion(measure, regimes, rule.over)
 
 
 def _check_split(study: Any, cases: pd.DataFrame) -> None:
-    """Refuse cases that are not all there, or flights that are not split."""
+    """Refuse an unfinished study, and flights without a split."""
     planned = len(study.plan())
     if len(cases) < planned or cases.empty:
         raise InputError(
@@ -229,7 +243,7 @@ def _check_split(study: Any, cases: pd.DataFrame) -> None:
 
 
 def check(selection: Selection, cases: pd.DataFrame) -> Check:
-    """Return what the cases of fresh units, of the same candidates, say of the choice."""
+    """Return the check of a selection on the cases of new units of the same candidates."""
     if selection.chosen is None:
         raise ValueError("nothing was chosen")
     titles = dict(zip(cases["candidate"], cases["title"], strict=True))
@@ -242,22 +256,26 @@ def check(selection: Selection, cases: pd.DataFrame) -> Check:
 
 
 def headline(selection: Selection) -> str:
-    """Return the answer in a sentence that can be read aloud."""
+    """Return the selection in a sentence."""
     chosen = selection.chosen
+    if chosen is None and selection.passing:
+        words = "has a finite score: choose by a mean, in which a failure counts as a finite error"
+        return f"No candidate of {len(selection.ranked)} {words}."
     if chosen is None:
         return f"No candidate of {len(selection.ranked)} keeps every constraint."
     reading, backend = chosen.reading, chosen.label
     mine = [each for each in selection.ranked if each.reading == reading]
     alike = [each.label for each in mine if each.within]
     if reading and len(alike) > 1:
-        every = set(alike) == {each.label for each in mine}
-        which = f"any of {len(alike)} back-ends" if every else listed(alike)
+        backends = {each.backend for each in mine}
+        kind = "back-ends" if len(backends) == len(mine) else "candidates"
+        which = f"any of {len(alike)} {kind}" if len(alike) == len(mine) else listed(alike)
         return f"Use {reading}; {which} will do, {backend} is the simplest."
     return f"Use {f'{reading} with {backend}' if reading else chosen.title}."
 
 
 def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
-    """Give what a review asks: the score, the rule, ties, regret, the worst regime, the clock."""
+    """Give the score, the rule, ties, the regret, the worst regime and the latency in lines."""
     criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
     regimes, units = criterion.regimes, [*map(selection.counted, selection.units.values())]
 
@@ -278,15 +296,17 @@ def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
     yield f"Candidates: {len(selection.ranked)}{where}, chosen on {units[0]}{keeping}."
     if selection.refused:
         yield f"Not on board: {len(selection.refused)} more, see the table."
-    if chosen is None:  # for each constraint, how many it refuses and who comes closest
+    if chosen is None:  # by constraint, the number refused and the nearest candidate
         every = [(breach, each.title) for each in selection.ranked for breach in each.breaches]
         for name, refused in Counter(breach.constraint for breach, _ in every).most_common():
             breach, nearest = min((pair for pair in every if pair[0].constraint == name),
                                   key=lambda pair: pair[0].value)  # fmt: skip
             yield f"{name}: refuses {refused}; the closest is {nearest}, {breach.words}."
         return
-    if selection.tied:
-        yield f"Tied: {listed([each.title for each in selection.tied], 'and')}."
+    if min(selection.units.values()) < 2:
+        yield f"Ties: not tested, {units[0]} shows no spread."
+    elif selection.tied:
+        yield f"Tied: {'; '.join(each.title for each in selection.tied)}."
     gap, best = selection.regret, selection.hindsight
     if gap is not None:
         against = f"{scored(gap.effect, (gap.low, gap.high))} against {best.title}"
@@ -312,7 +332,7 @@ def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
 
 
 def verdict(selection: Selection, each: Any) -> str:
-    """Return why a candidate was chosen, or lost."""
+    """Return the reason why a candidate was chosen or not."""
     apart = each.apart
     if each is selection.chosen:
         return "chosen"

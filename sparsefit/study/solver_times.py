@@ -1,10 +1,10 @@
-"""Times of solvers to a certified accuracy: who solves what, how fast, and who fails.
+"""Times of solvers to a certified accuracy, and their failures.
 
-A solver solves a problem to an accuracy if one of its tolerances gives answers whose certified
-excess is within it; its time is the least of those, on the wall. What is not solved takes
-infinitely long in profiles, and the limit of a solve in means. The unit is a problem.
+A solver solves a problem to an accuracy if, at one of its tolerances, the certified excess of its
+answers is within it; its time is the least wall time of those tolerances. An unsolved problem has
+an infinite time in performance profiles, and the limit of a solve in means. The unit is a problem.
 
-Sources: Dolan and More, Math. Program. 91 (2002) 201-213, for performance profiles.
+Source: Dolan and More, Math. Program. 91 (2002) 201-213, for performance profiles.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ ACCURACIES, LIMIT, SHIFT = (1e-4, 1e-6, 1e-8), 10.0, 1e-3  # LIMIT [s] unless th
 
 
 def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
-    """Return the accuracies at which success is counted, down to what every solver was asked for.
+    """Return the accuracies at which success is counted, down to the tolerance of every solver.
 
-    An accuracy below the least tolerance of a solver would tell of the study and not of the solver.
+    Below the smallest tolerance of a solver, a failure would be one of the study.
     """
     tried = cases.loc[(cases["status"] != "skipped") & cases["tolerance"].notna()]
     strictest = tried.groupby(["objective", "solver"])["tolerance"].min().max()
@@ -37,14 +37,14 @@ def accuracies(cases: pd.DataFrame) -> tuple[float, ...]:
 
 
 def accuracy_text(accuracy: float) -> str:
-    """Return an accuracy as it is written, `1e-8`."""
+    """Return an accuracy as text, `1e-8`."""
     return f"{accuracy:.0e}".replace("e-0", "e-")
 
 
 def times_to(cases: pd.DataFrame, accuracy: float) -> dict[str, pd.DataFrame]:
-    """Return by objective the seconds to an accuracy, infinite where it is not reached.
+    """Return times [s] to an accuracy by objective, infinite if it is not reached.
 
-    A row is a problem, a column a solver that ran, the fastest by the geometric mean first.
+    Rows are problems, columns the solvers that ran, ordered by the geometric mean.
     """
     every = {}
     for objective, here in cases.groupby("objective", sort=False):
@@ -59,13 +59,13 @@ def times_to(cases: pd.DataFrame, accuracy: float) -> dict[str, pd.DataFrame]:
 
 
 def is_race(cases: pd.DataFrame) -> bool:
-    """Return whether an objective has several solvers that ran."""
+    """Return whether several solvers of one objective ran."""
     ran = cases[cases["status"] != "skipped"]
     return bool((ran.groupby("objective")["solver"].nunique() > 1).any())
 
 
 def places(cases: pd.DataFrame) -> dict[str, int]:
-    """Return the best place of every solver in any objective, 0 for the fastest."""
+    """Return the best rank of every solver over the objectives, 0 for the fastest."""
     best: dict[str, int] = {}
     for seconds in times_to(cases, accuracies(cases)[-1]).values():
         for place, name in enumerate(map(str, seconds)):
@@ -74,9 +74,9 @@ def places(cases: pd.DataFrame) -> dict[str, int]:
 
 
 def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
-    """Return a row per objective, accuracy, problem and solver: `seconds`, `ratio` to the fastest.
+    """Return `seconds` and their `ratio` to the fastest by objective, accuracy, problem and solver.
 
-    Both are infinite where the accuracy is not reached.
+    Both are infinite if the accuracy is not reached.
     """
     import pandas as pd
 
@@ -92,7 +92,7 @@ def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
 
 
 def summary(cases: pd.DataFrame) -> Table:
-    """Return each solver of each objective: verdict, success, mean time, times the fastest."""
+    """Return verdict, success, mean time and ratio to the fastest by objective and solver."""
     levels = accuracies(cases)[::-1]  # the strictest first: it gives order and verdict
     limit = cases.attrs.get("limit", LIMIT)
     columns, rows = [*map(Column, ("objective", "solver", "verdict"))], dict[Row, list[Value]]()
@@ -121,17 +121,17 @@ def summary(cases: pd.DataFrame) -> Table:
             for name in absent["solver"].unique():
                 rows[objective, str(name)] = ["missing", *[None] * (4 * len(levels))]
     note = (
-        "solved: problems whose answers are certified to lie within that share of the objective "
-        f"at zero above its minimum. mean time: geometric, shifted by {1e3 * SHIFT:g} ms, on the "
-        f"wall; what is not solved counts as the limit, {limit:g} s, and makes × fastest a bound "
-        f"(≥). × fastest: with its interval over problems. Verdict: to {accuracy_text(levels[0])}."
+        "solved: problems with a certified excess, relative to the objective at zero, within the "
+        f"accuracy. mean time: geometric mean of wall times, shifted by {1e3 * SHIFT:g} ms; an "
+        f"unsolved problem counts as the limit, {limit:g} s, and makes × fastest a lower bound (≥)."
+        f" 95 %: interval of × fastest over problems. Verdict: to {accuracy_text(levels[0])}."
     )
     every = [(*key, *cells) for key, cells in rows.items()]
     return Table("Solvers: success and time", tuple(columns), every, (note,))
 
 
 def failures(cases: pd.DataFrame) -> Table:
-    """Return who failed where, by status and reason; the numbers in a reason may differ."""
+    """Return the failures by solver, status and reason; numbers in a reason may differ."""
     bad = cases[~cases["status"].isin(["ok", "skipped"])]
     alike = bad["reason"].str.replace(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", regex=True)
     rows: list[Row] = []
@@ -146,7 +146,7 @@ def failures(cases: pd.DataFrame) -> Table:
 
 
 def headline(cases: pd.DataFrame) -> Iterator[str]:
-    """Give a sentence per objective: who is fastest to the strictest accuracy, and by how much."""
+    """Give a sentence per objective: the fastest solver to the strictest accuracy, and its lead."""
     to, rows = accuracy_text(accuracies(cases)[-1]), summary(cases).rows
     rivals = [row for row in rows if not str(row[1]).endswith(", certified")]  # timed with checks
     for objective, group in itertools.groupby(rivals, key=lambda row: row[0]):

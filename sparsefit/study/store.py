@@ -4,13 +4,12 @@
         store.put(outcome, version)
         store.sync()                               # on the disk
         store.export()                             # Parquet, in plan order, as it ships
-    read_cases(folder)                             # a frame, if the file is as it was written
+    read_cases(folder)                             # a frame, if the checksum of the file is right
 
-`cases.sqlite` begins with the rows of an earlier export, in one transaction, and counts alone as
-long as it is there. A row is kept by what it is (its identity) and has a checksum of its own, an
-export has it in `manifest.json`: a damaged row is none, a damaged file is refused in a line. A
-process that is killed leaves all that was committed. Rows that the study no longer plans go with
-the next export.
+`cases.sqlite` begins with the rows of an earlier export, copied in one transaction, and takes the
+place of it until the next. The key of a row is the identity of its case. Each row has a checksum,
+an export has its own in `manifest.json`: a damaged row is ignored, a damaged file is refused in a
+line. What was committed survives a kill. The next export leaves out rows that are not planned.
 """
 
 from __future__ import annotations
@@ -49,12 +48,12 @@ REMEDIES = {  # by what SQLite says
     **dict.fromkeys(("readonly", "unable to open"), "check the folder's permissions"),
     "locked": "another run writes to it: wait for it",
 }
-BATCH, GROUP = 2048, 16_384  # rows that are read, and written, as records at once
+BATCH, GROUP = 2048, 16_384  # rows that are read, and written, at once
 ENDED = ("status", "reason", "version")
 
 
 class Row(NamedTuple):
-    """A row as it is kept: its key in the plan, how it ended, and its body as JSON."""
+    """A stored row: the key of its case, status, reason, version, and all other values as JSON."""
 
     key: str
     status: str
@@ -64,18 +63,18 @@ class Row(NamedTuple):
 
     @property
     def crc(self) -> int:
-        """The checksum over all of it."""
+        """The checksum of the whole row."""
         return crc32("\0".join(self).encode(errors="backslashreplace"))
 
 
 @dataclass
 class Store:
-    """The rows of one results folder against a plan.
+    """The rows of a results folder, by the cases of a plan.
 
-    same: whether the manifest is of this very study; status and version: of each case of the plan,
-    empty where there is no row; exported: whether they were read from `cases.parquet`; damaged:
-    rows whose checksum or status is wrong; unplanned: rows of cases that are not planned; pending:
-    rows to be written at the next `sync`.
+    same: whether the manifest has the hash of this study; status and version: of each case, empty
+    without a row; exported: whether they were read from `cases.parquet`; damaged: the number of
+    rows with a wrong checksum or status; unplanned: of rows of other cases; pending: rows to be
+    written at the next `sync`.
     """
 
     folder: Path
@@ -92,7 +91,7 @@ class Store:
 
     @classmethod
     def read(cls, folder: Path, plan: Plan) -> Store:
-        """The rows that the folder has, to be looked at and not written.
+        """The rows of the folder, read-only.
 
         Raises:
             InputError: where a file is damaged or no regular one, or there are rows, and all of
@@ -120,7 +119,7 @@ class Store:
     @classmethod
     @contextmanager
     def opened(cls, folder: Path, plan: Plan) -> Iterator[Store]:
-        """The store to write to; synced at the end."""
+        """The store, open for writing; synced at the end."""
         store, path = cls.read(folder, plan), folder / STORE
         with _telling(path), closing(sqlite3.connect(path, timeout=60.0)) as base:
             if store.exported:
@@ -139,22 +138,22 @@ class Store:
 
     @property
     def finished(self) -> bool:
-        """Whether the `cases.parquet` of this very study holds every case."""
+        """Whether `cases.parquet` is of this very study and has every case."""
         return self.same and self.exported and all(self.status) and not self.unplanned
 
     @property
     def done(self) -> BoolArray:
-        """Which cases of the plan have a row (u, c)."""
+        """The cases (u, c) that have a row."""
         return self._which([bool(status) for status in self.status])
 
     @property
     def failed(self) -> BoolArray:
-        """Which cases have a row without an answer (u, c)."""
+        """The cases (u, c) whose row has no answer."""
         return self._which([status in FAILED for status in self.status])
 
     @property
     def stale(self) -> BoolArray:
-        """Which rows other code than this has computed (u, c)."""
+        """The cases (u, c) whose row is of another version of the code."""
         current = self.plan.versions * self.plan.shape[0]
         others = [v != now for v, now in zip(self.version, current, strict=True)]
         return self._which(others) & self.done
@@ -163,7 +162,7 @@ class Store:
         return np.array(cases, dtype=bool).reshape(self.plan.shape)
 
     def put(self, outcome: Outcome, version: str) -> None:
-        """Write a row of the plan, made by this version, in the place of an earlier one."""
+        """Write the row of an outcome, by this version, in the place of an earlier one."""
         place = outcome.unit * self.plan.shape[1] + outcome.cell
         content = (outcome.status, outcome.reason, version, body_of(outcome.values))
         self.put_row(Row(self.plan.keys[place], *content))
@@ -176,7 +175,7 @@ class Store:
             self.sync()
 
     def sync(self, patience: float = 0.0) -> None:
-        """Commit what is pending to the disk, if the last time was longer ago than this [s]."""
+        """Commit pending rows to disk, unless the last time was less than this [s] ago."""
         if patience and not (self.pending and time.monotonic() - self.synced > patience):
             return
         path = self.folder / STORE
@@ -191,13 +190,13 @@ class Store:
         self.pending, self.synced = [], time.monotonic()
 
     def rows(self) -> list[Row]:
-        """The whole rows of the plan, in its order."""
+        """The undamaged rows of planned cases, in plan order."""
         rows = {row.key: row for row in self._every() if row}
         return [rows[key] for key in self.plan.keys if key in rows]
 
     def _every(self, *, brief: bool = False) -> Iterator[Row | None]:
-        """Every row of `cases.sqlite`, or where there is none of `cases.parquet`; None for one
-        whose checksum or status is wrong. brief: exported ones without their bodies.
+        """Every row of `cases.sqlite` or, without that, of `cases.parquet`; None for a row whose
+        checksum or status is wrong. brief: exported rows without their bodies.
         """
         path = self.folder / STORE
         self.exported = not is_regular(path)
@@ -220,8 +219,8 @@ class Store:
     def _exported(self, brief: bool) -> Iterator[Row | None]:
         """The rows of `cases.parquet`.
 
-        Their cases are known by case_id as long as the study is the same, however identities are
-        told by now; those of another study by their identity.
+        Their keys come from case_id while the study is the same, whatever now enters an identity;
+        those of another study from the identity.
         """
         with parquet(self.folder / CASES) as file:
             there = set(file.schema_arrow.names)
@@ -238,7 +237,7 @@ class Store:
                     yield row if status in STATUSES else None
 
     def export(self) -> None:
-        """Write `cases.parquet`, the rows of the plan in its order, whole or not at all."""
+        """Write `cases.parquet`, in plan order, whole or not at all."""
         import pyarrow.parquet as pq
 
         self.sync()
@@ -264,7 +263,7 @@ class Store:
 
 
 def discard(folder: Path, *exported: str) -> None:
-    """Remove `cases.sqlite`, once everything in it is exported, and other files of the folder."""
+    """Remove `cases.sqlite`, and the exported files that are named."""
     for name in (STORE, f"{STORE}-journal", *exported):
         with refusing(folder / name):
             (folder / name).unlink(missing_ok=True)
@@ -272,7 +271,7 @@ def discard(folder: Path, *exported: str) -> None:
 
 @contextmanager
 def _telling(path: Path) -> Iterator[None]:
-    """Tell an error of SQLite as InputError: cause and remedy in a line."""
+    """Raise an error of SQLite as an InputError with cause and remedy."""
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError) as error:  # the second of SQLite's own words
@@ -283,7 +282,7 @@ def _telling(path: Path) -> Iterator[None]:
 
 
 def is_regular(path: Path) -> bool:
-    """Whether there is a regular file, no link and no pipe, which may lead anywhere or not end."""
+    """Whether there is a regular file. Raises InputError for a link, a pipe or a folder."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -297,10 +296,10 @@ def is_regular(path: Path) -> bool:
 
 @contextmanager
 def parquet(path: Path) -> Iterator[Any]:
-    """A Parquet file of cases, if it is there, whole, and as it was written.
+    """A Parquet file of cases, its checksum, size and columns checked.
 
     Raises:
-        InputError: with the cause and the remedy, also where it breaks while it is read.
+        InputError: with cause and remedy, also where reading fails inside the block.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -329,10 +328,10 @@ def parquet(path: Path) -> Iterator[Any]:
 
 
 def read_cases(folder: str | Path) -> pd.DataFrame:
-    """The rows of `cases.parquet` in a results folder, with whatever columns it has.
+    """The rows of `cases.parquet` in a results folder, all its columns.
 
     Raises:
-        InputError: if there are none yet, the file is not readable, or not as it was written.
+        InputError: if there is no file, or it is not readable or damaged.
     """
     with parquet(Path(folder) / CASES) as file:
         frame: pd.DataFrame = file.read().to_pandas()
@@ -340,7 +339,7 @@ def read_cases(folder: str | Path) -> pd.DataFrame:
 
 
 def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
-    """Rows of `cases.parquet`: of the plan, of the row or of its body; then swept factors."""
+    """The table of `cases.parquet`: columns of the plan, of the rows, and swept factors."""
     import pyarrow as pa
 
     bodies = [json.loads(row.body) for row in rows]

@@ -1,4 +1,4 @@
-"""`sf.Study`: a study from Python, of which the verbs of the command line are calls.
+"""`sf.Study`: the Python interface of studies, which the command line calls, too.
 
     study = sf.Study.from_file("mine.toml")
     study.plan()                       # a frame, one row a case
@@ -6,7 +6,7 @@
     study.cases                        # the plan with the outcomes
     study.table("errors"); study.figure("ecdf"); study.select(over="worst")
 
-Results lie beside the study file unless said: `studies/mine.toml` has `results/mine`.
+By default, results are beside the study file: `studies/mine.toml` has `results/mine`.
 """
 
 from __future__ import annotations
@@ -25,12 +25,18 @@ from sparsefit.codec import shown
 from sparsefit.errors import InputError, SparsefitError, described
 from sparsefit.study.columns import Outcome
 from sparsefit.study.contenders import ProblemDesign
-from sparsefit.study.definition import Definition, definition_of, read_definition
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import Outputs
 from sparsefit.study.latency import Latency, measured, read_latencies, write_latencies
-from sparsefit.study.plan import Batch, Experiment, Plan
+from sparsefit.study.plan import (
+    Batch,
+    Definition,
+    Experiment,
+    Plan,
+    definition_of,
+    read_definition,
+)
 from sparsefit.study.pool import outcomes
 from sparsefit.study.problem_experiment import ProblemExperiment
 from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, run
@@ -46,9 +52,9 @@ RESULTS, STUDIES = "results", "studies"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(Definition):
-    """A study file and its results folder; made by `from_file` or `from_mapping`.
+    """A study file and its results folder, from `from_file` or `from_mapping`.
 
-    It has the `name`, `kind`, `question`, `path`, `seed` and `hash` of its file.
+    Its `name`, `kind`, `question`, `path`, `seed` and `hash` are those of the file.
     """
 
     folder: Path = Path()
@@ -58,8 +64,8 @@ class Study(Definition):
         """The study of a TOML file.
 
         Args:
-            results: the folder in which the study's own lies; by default `results` beside the
-                study file, or beside the folder `studies` that it lies in.
+            results: the parent of the results folder; by default `results` beside the study
+                file, or beside the folder `studies` that contains it.
 
         Raises:
             InputError: with the file, the section and the key (or the line) of the first fault.
@@ -76,7 +82,7 @@ class Study(Definition):
         folder: str | Path = ".",
         results: str | Path | None = None,
     ) -> Study:
-        """The study of a mapping with the keys of a file; files that it names lie in ``folder``."""
+        """The study of a mapping with the keys of a file; paths are relative to ``folder``."""
         return cls._of(definition_of(document, str(Path(folder) / "study")), folder, results)
 
     @classmethod
@@ -89,27 +95,27 @@ class Study(Definition):
 
     @cached_property
     def definition(self) -> Definition:
-        """The study file alone, as its workers get it."""
+        """The study file alone, which is passed to workers."""
         return Definition(**{item.name: getattr(self, item.name) for item in fields(Definition)})
 
     @cached_property
     def experiment(self) -> Experiment:
-        """The kind of study: what its units and candidates are, and how they are run."""
+        """The units and candidates of this kind of study, and how they are run."""
         if self.kind == "flights":
             return FlightExperiment(self.definition)
         return ProblemExperiment(self.definition)
 
     @cached_property
     def planned(self) -> Plan:
-        """The plan: every case before any is run."""
+        """The plan of all cases."""
         return Plan(self.experiment)
 
     def plan(self) -> pd.DataFrame:
-        """One row a case: unit, condition, candidate, title and the level of every factor."""
+        """A row per case: unit, condition, candidate, title and the level of every factor."""
         return self.planned.frame()
 
     def run(self, **request: Any) -> RunSummary:
-        """Compute the cases that have no row; `runner.run` has the options.
+        """Compute the cases without a row; `runner.run` documents the options.
 
         Raises:
             InputError: if the folder cannot be written, is in use, or is another study's.
@@ -121,12 +127,12 @@ class Study(Definition):
             self.__dict__.pop("cases", None)
 
     def status(self) -> RunSummary:
-        """The progress of the study; changes nothing, also while it runs."""
+        """The progress of the study, which may be running."""
         return RunSummary.of(Store.read(self.folder, self.planned))
 
     @cached_property
     def cases(self) -> pd.DataFrame:
-        """The rows that are there, finished or not, in plan order, with the plan's columns."""
+        """The computed rows in the order of the plan, with its columns."""
         store, frame = Store.read(self.folder, self.planned), self.plan()
         if store.finished:
             table = read_cases(self.folder)
@@ -144,33 +150,33 @@ class Study(Definition):
 
     @property
     def missing(self) -> dict[str, str]:
-        """Why each solver that cannot run here is missing; empty of flights."""
+        """The reason by solver that cannot run here; empty for flights."""
         if not isinstance(self.design, ProblemDesign):
             return {}
         return {each.solver: each.missing for each in self.design.contenders if each.missing}
 
     def counts(self) -> dict[str, Any]:
-        """The size of the study, JSON-ready."""
+        """The numbers of units, candidates and cases, for JSON."""
         return self.planned.counts() | ({"missing": self.missing} if self.missing else {})
 
     def merge(self, parts: Sequence[str | Path]) -> list[MergedPart]:
-        """Take the rows of other results folders of this study; see `runner.merge`."""
+        """Add the rows of other results folders of this study; see `runner.merge`."""
         self.__dict__.pop("cases", None)
         return merge(self.planned, self.folder, parts)
 
     def again(self, case_id: str) -> Reading | Outcome:
-        """One case run once more: of flights in this process, with all it was read from.
+        """Run one case again; a case of flights in this process, with its intermediate results.
 
         Raises:
-            InputError: if the study plans none of this id, with the nearest that it does.
-            SparsefitError: if the case fails, as it then did in the run, with its error.
+            InputError: for an unknown id, with the nearest one.
+            SparsefitError: if the case fails, with its error.
         """
         place = self.planned.place_of_case.get(case_id)
         if place is None:
             ids = self.planned.case_ids
             near, *_ = get_close_matches(case_id, ids, 1) or ids
-            where = "ids stand in its cases.parquet and report.html"
-            raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}, {near} say")
+            where = "its cases.parquet and report.html list them"
+            raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}; try {near}")
         unit, cell = self.planned.at(place)
         if self.kind == "flights":
             try:
@@ -184,7 +190,7 @@ class Study(Definition):
         return outcome
 
     def cells_of(self, candidate: str) -> list[int]:
-        """The cells of a candidate: one for every condition."""
+        """The indices of the cells of a candidate, one per condition."""
         candidates = self.experiment.cells["candidate"]
         cells = [cell for cell, name in enumerate(candidates) if name == candidate]
         if not cells:
@@ -192,8 +198,25 @@ class Study(Definition):
         return cells
 
     def estimator(self, candidate: str) -> Estimator:
-        """The estimator that the cases of a candidate use."""
+        """The estimator of a candidate."""
         return estimator_of(self, self.flights.cells[self.cells_of(candidate)[0]])
+
+    def call(self, candidate: str) -> str:
+        """The call of `sparsefit.fit` that solves a regression problem as a candidate does.
+
+        A penalty that was chosen on the folds of each problem is `"auto"`: so it is there, too.
+        """
+        design = self.design
+        if not isinstance(design, ProblemDesign):
+            raise InputError(f"{self.path}: is a study of flights: call its `estimator`")
+        contender = design.contenders[design.cells[self.cells_of(candidate)[0]][0]]
+        settings = dict(contender.settings)
+        if design.fractions and hasattr(contender.settled, "alpha_fraction"):
+            settings["alpha_fraction"] = "auto"
+        centred = any(source.keys.intercept for source in design.problems)
+        settings |= {"intercept": True} if centred else {}
+        words = "".join(f", {name}={value!r}" for name, value in settings.items())
+        return f"sf.fit({'theta, target' if centred else 'problem'}, {contender.backend!r}{words})"
 
     @property
     def _titles(self) -> dict[str, str]:
@@ -203,10 +226,10 @@ class Study(Definition):
 
     @cached_property
     def refusals(self) -> dict[str, str]:
-        """Why each candidate that cannot fly as it is cannot, by title.
+        """The reasons why candidates have no on-board form, by title.
 
         Raises:
-            InputError: if none of them can.
+            InputError: if no candidate has one.
         """
         from sparsefit.onboard import refusal
 
@@ -217,24 +240,24 @@ class Study(Definition):
         return refused
 
     def flown(self) -> Study:
-        """The candidates that can fly, on the flights of the study, sample by sample as exported.
+        """The study of the on-board forms of the candidates on the flights of this one.
 
-        Its cases lie in the folder ``on-board`` within the study's own.
+        Its results are in the subfolder ``on-board``.
         """
         able = [name for name, title in self._titles.items() if title not in self.refusals]
         return self._part(able, "on-board", on_board=True)
 
     def variant(self, candidates: Sequence[str], count: int) -> Study:
-        """These candidates on flights of fresh seeds, in the folder ``fresh``."""
+        """The study of these candidates on flights of a new seed, in the subfolder ``fresh``."""
         seed = int(sha256(f"fresh {self.seed}".encode()).hexdigest()[:8], 16)
         design = replace(self.flights, count=count, validate_count=None)
         return self._part(candidates, "fresh", seed=seed, design=design)
 
     def _part(self, candidates: Sequence[str], name: str, **changes: Any) -> Study:
-        """These candidates, in a folder within the study's own; changes: of the definition."""
+        """A study of these candidates in a subfolder; changes: of the definition."""
         own = changes.pop("design", self.flights)
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
-        cells = tuple(replace(own.cells[cell], index=i) for i, cell in enumerate(chosen))
+        cells = tuple(own.cells[cell] for cell in chosen)
         content = f"{self.hash} {name} {own.count} {' '.join(cell.key for cell in cells)}"
         changes |= {"name": name, "hash": sha256(content.encode()).hexdigest()}
         changes |= {"outputs": Outputs(), "design": replace(own, cells=cells, titles=self._titles)}
@@ -242,7 +265,7 @@ class Study(Definition):
 
     @property
     def latencies(self) -> dict[str, Latency]:
-        """The times by candidate that were measured before, by this version."""
+        """Latencies by candidate that this version has measured."""
         return read_latencies(self.hash, self.folder)
 
     def latency(
@@ -253,7 +276,7 @@ class Study(Definition):
         again: bool = False,
         progress: Progress | None = None,
     ) -> dict[str, Latency]:
-        """Seconds and memory of one estimate of each candidate; known ones are not timed anew."""
+        """Time [s] and memory of one estimate of each candidate; stored ones unless `again`."""
         latencies = {} if again else self.latencies
         trials = [name for name in candidates if name not in latencies]
         for done, name in enumerate(trials):
@@ -265,13 +288,13 @@ class Study(Definition):
         return {name: latencies[name] for name in candidates}
 
     def select(self, **rule: Any) -> Any:
-        """The candidate to deploy, and why; options take the place of those in [select]."""
+        """The selected candidate with its evidence; options replace those of [select]."""
         return import_module("sparsefit.study.selection").select(self, **rule)
 
     def table(self, entry: str | Mapping[str, object]) -> Any:
-        """A table of the cases, by its name or options as in [outputs]."""
+        """A table of the cases, by name or by options as in [outputs]."""
         return import_module("sparsefit.study.tables").table(self, entry)
 
     def figure(self, entry: str | Mapping[str, object]) -> Any:
-        """A figure of the cases, by its name or options as in [outputs]."""
+        """A figure of the cases, by name or by options as in [outputs]."""
         return import_module("sparsefit.study.figures").figure(self, entry)

@@ -25,6 +25,7 @@ TEX = str.maketrans({
     "\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
     "|": r"\textbar{}", **{sign: f"\\{sign}" for sign in "&%$#_{}"},
 })  # fmt: skip
+TEX_SYMBOLS = {"U0": "$U_0$", "L_w": "$L_w$", "τ_w": r"$\tau_w$"}
 MARKDOWN = str.maketrans({
     "&": "&amp;", "<": "&lt;", ">": "&gt;", **{sign: f"\\{sign}" for sign in "\\|`*~$[]"},
 })  # fmt: skip
@@ -34,9 +35,9 @@ MARKDOWN = str.maketrans({
 class Column:
     """One column of a table.
 
-    group: a heading that it shares with its neighbours; unit: in brackets behind the name.
-    format: a Python format, three significant digits where it is empty.
-    least: a smaller number is rounding; varies: whether it is of one run on one machine.
+    group: a heading shared with neighbouring columns; unit: printed in brackets after the name.
+    format: a Python format; three significant digits if empty.
+    least: smaller numbers are rounding errors; varies: whether values differ between runs.
     """
 
     name: str
@@ -53,17 +54,17 @@ class Column:
 
     @property
     def full(self) -> str:
-        """The heading behind its group, for what has one line of headings."""
+        """The group and the heading in one line."""
         return f"{self.group} {self.heading}".strip()
 
 
 def sentence(words: str) -> str:
-    """Return words as a sentence; nothing of nothing."""
+    """Return words with a capital letter and a full stop; empty words unchanged."""
     return f"{words[:1].upper()}{words[1:].rstrip('.')}." if words else ""
 
 
 def listed(names: Sequence[str], word: str = "or") -> str:
-    """Return `a`, `a or b`, `a, b or c`, and of more than five how many more."""
+    """Return `a`, `a or b`, `a, b or c`; of more than five names, four and the number of others."""
     names = list(dict.fromkeys(names))
     if len(names) > 5:
         names = [*names[:4], f"{len(names) - 4} more"]
@@ -132,12 +133,12 @@ class Table:
 
     @property
     def varies(self) -> bool:
-        """Whether another run of the study prints other numbers."""
+        """Whether numbers differ between runs of the study."""
         return any(column.varies for column in self.columns)
 
     @property
     def heads(self) -> list[str]:
-        """The whole heading of every column."""
+        """The full heading of every column."""
         return [column.full for column in self.columns]
 
     @property
@@ -149,40 +150,37 @@ class Table:
 
     @property
     def is_text(self) -> list[bool]:
-        """Whether each column holds words, which stand on the left."""
+        """Whether each column holds words, aligned to the left; grouped columns are quantities."""
         return [
-            any(isinstance(row[place], str) for row in self.rows) or not place
-            for place in range(len(self.columns))
+            not place
+            or (not column.group and any(isinstance(row[place], str) for row in self.rows))
+            for place, column in enumerate(self.columns)
         ]
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """The heading and the number of columns of each run that shares a group."""
+        """The heading and the width in columns of each group."""
         runs = itertools.groupby(column.group for column in self.columns)
         return [(name, len(list(run))) for name, run in runs]
 
     def texts(self, most: int) -> list[list[str]]:
-        """Return the cells of the first `most` rows as text."""
-        columns = [
-            replace(column, format=".0f") if self._is_whole(place) else column
-            for place, column in enumerate(self.columns)
-        ]
+        """Return the cells of the first `most` rows as text; whole numbers without decimals."""
+        columns = list(self.columns)
+        for place, column in enumerate(columns):
+            cells = [row[place] for row in self.rows]
+            numbers = [cell for cell in cells if isinstance(cell, float) and math.isfinite(cell)]
+            is_whole = all(number.is_integer() and abs(number) < 1e6 for number in numbers)
+            if is_whole and not (column.format or column.least or column.varies):
+                columns[place] = replace(column, format=".0f")
         return [list(map(cell_text, row, columns)) for row in self.rows[:most]]
 
-    def _is_whole(self, place: int) -> bool:
-        """Return whether a column without a format of its own holds whole numbers alone."""
-        cells, column = [row[place] for row in self.rows], self.columns[place]
-        numbers = [cell for cell in cells if isinstance(cell, float) and math.isfinite(cell)]
-        whole = bool(numbers) and all(cell.is_integer() and abs(cell) < 1e6 for cell in numbers)
-        return whole and not (column.format or column.least or column.varies)
-
     def remarks(self, most: int) -> list[str]:
-        """Return the notes, and how many rows are not among the first `most`."""
+        """Return the notes, and the number of rows after the first `most`."""
         hidden = len(self.rows) - most
         return [*self.notes, *([f"{hidden} more rows in the CSV file."] if hidden > 0 else [])]
 
     def record(self) -> dict[str, object]:
-        """Return the table as JSON has it: title, columns, rows, notes."""
+        """Return title, columns, rows and notes for JSON."""
         rows = [
             [None if isinstance(cell, float) and not math.isfinite(cell) else cell for cell in row]
             for row in self.rows
@@ -190,7 +188,7 @@ class Table:
         return {"title": self.title, "columns": self.heads, "rows": rows, "notes": list(self.notes)}
 
     def to_csv(self) -> str:
-        """Return all rows, numbers to six digits; words that a spreadsheet would run are quoted."""
+        """Return all rows with six digits; texts that a spreadsheet would evaluate are quoted."""
         import pandas as pd
 
         def cell_of(cell: Value, least: float) -> str:
@@ -208,7 +206,7 @@ class Table:
         return pd.DataFrame(rows, columns=self.heads).to_csv(index=False, lineterminator="\n")
 
     def to_latex(self, label: str = "", most: int = 60) -> str:
-        """Return a float of booktabs rules, the cells escaped and the quotes typeset."""
+        """Return a float with a booktabs table."""
         import pandas as pd
 
         names = [(_tex(column.group), _tex(column.heading)) for column in self.columns]
@@ -226,6 +224,8 @@ class Table:
         notes = "".join(f"\\par\\smallskip {_tex(note)}\n" for note in self.remarks(most))
         packages = "booktabs,multirow,rotating" if float_ != "table" else "booktabs,multirow"
         text = text.replace(rf"\end{{{float_}}}", rf"{notes}\end{{{float_}}}")
+        if float_ != "table" or len(cells) > 30:  # one page
+            text = text.replace("\\begin{tabular}", "\\scriptsize\n\\begin{tabular}")
         return f"% needs \\usepackage{{{packages}}}\n{text}"
 
     def to_markdown(self, most: int = 60) -> str:
@@ -239,37 +239,47 @@ class Table:
     def to_text(self, width: int = 100, most: int = 100) -> str:
         """Return the table for a terminal of so many columns.
 
-        Numbers are never cut: columns that do not fit follow in a further block behind the names.
+        Nothing is cut: what is too long takes several lines, and columns that do not fit follow in
+        a further block behind the names.
         """
-        is_name = [is_text and not column.group
-                   for is_text, column in zip(self.is_text, self.columns, strict=True)]  # fmt: skip
-        names = max(1, min([*is_name, False].index(False), len(self.columns) - 1))
-        heads = [column.heading for column in self.columns]
-        columns = list(zip(heads, *self.texts(most), strict=True))
-        lengths = [max(map(len, texts)) for texts in columns]
-        widest = min(max(lengths[names:], default=0), width // 2)
-        room = max(12, int(min(0.7 * width, width - widest)) // names - 2)
-        printed = list[list[str]]()
-        has_groups = any(column.group for column in self.columns)
-        for place, (column, texts) in enumerate(zip(self.columns, columns, strict=True)):
-            letters = room if place < names else width // 2
-            while True:
-                short = [_cut(text, letters) for text in texts]
-                if place >= names or len(set(short)) == len(set(texts)):
-                    break
-                letters += 1  # names stay apart
-            lines = [*[column.group] * has_groups, *short]
-            justify, size = str.ljust if place < names else str.rjust, max(map(len, lines))
-            printed.append([justify(text, size) for text in lines])
-        behind = list(map("  ".join, zip(*printed[:names], strict=True)))
-        blocks = [behind]
-        for lines in printed[names:]:
-            if blocks[-1] is not behind and len(blocks[-1][0]) + 2 + len(lines[0]) > width:
-                blocks.append(behind)
-            blocks[-1] = list(map("  ".join, zip(blocks[-1], lines, strict=True)))
-        body = ["\n".join(map(str.rstrip, block)).lstrip("\n") for block in blocks]
+        is_text = self.is_text
+        names = max(1, min([*is_text, False].index(False), len(self.columns) - 1))
+        heads = [(column.group, column.heading) for column in self.columns]
+        columns = list(zip(*self.texts(most), strict=True)) or [()] * len(heads)
+        sizes = [
+            max((len(line) for text in head for line in _wrapped(text, 28)), default=0)
+            for head in heads
+        ]
+        sizes = [max([size, *map(len, texts)]) for size, texts in zip(sizes, columns, strict=True)]
+        room, shortest_first = int(0.6 * width), sorted(range(names), key=sizes.__getitem__)
+        for place, sharers in zip(shortest_first, range(names, 0, -1), strict=True):
+            sizes[place] = min(sizes[place], max(room // sharers - 2, 12))
+            room -= sizes[place] + 2
+        free = max(width - sum(size + 2 for size in sizes[:names]), 12)
+        sizes[names:] = [min(size, free) for size in sizes[names:]]
+        blocks = [list(range(names))]
+        for place in range(names, len(heads)):
+            taken = sum(sizes[at] + 2 for at in blocks[-1][names:])
+            if taken and taken + sizes[place] > free:
+                blocks.append(list(range(names)))
+            blocks[-1].append(place)
+        printed = list[str]()
+        for block in blocks:
+            above = [[line for text in heads[at] for line in _wrapped(text, sizes[at])]
+                     for at in block]  # fmt: skip
+            highest = max(map(len, above))
+            cells = ([_wrapped(text, sizes[at]) for text in columns[at]] for at in block)
+            rows = [[[""] * (highest - len(lines)) + lines for lines in above],
+                    *zip(*cells, strict=True)]  # fmt: skip
+            printed.append("\n".join(
+                "  ".join(
+                    text.ljust(sizes[at]) if at < names or is_text[at] else text.rjust(sizes[at])
+                    for at, text in zip(block, line, strict=True)
+                ).rstrip()
+                for row in rows for line in itertools.zip_longest(*row, fillvalue="")
+            ))  # fmt: skip
         notes = [textwrap.fill(note, width) for note in self.remarks(most)]
-        return "\n\n".join([self.title, *body, *notes]) + "\n"
+        return "\n\n".join([self.title, *printed, *notes]) + "\n"
 
     def __str__(self) -> str:
         return self.to_text()
@@ -281,15 +291,20 @@ class Table:
         return shown.style.hide(axis="index").to_html()
 
 
-def _cut(text: str, letters: int) -> str:
-    """Return text of at most so many letters, without its middle if it is longer."""
-    begin, end = letters // 2, (letters - 1) // 2
-    return text if len(text) <= letters else f"{text[:begin]}…{text[-end:]}"
+def _wrapped(text: str, width: int) -> list[str]:
+    """Return text as lines of at most `width` letters, all but the first indented."""
+    text = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}")  # a pair on one line
+    return textwrap.wrap(text, width, subsequent_indent="  ", break_on_hyphens=False)
 
 
 def _tex(text: str) -> str:
-    """Return text as LaTeX prints it letter for letter, quotes opening and closing."""
+    """Return text as LaTeX prints it, signed numbers and symbols of the flow as formulas."""
+    if re.fullmatch(r"[-+][\d.]+", text):
+        return f"${text}$"
+    if number := re.fullmatch(r"([-+<]? ?[\d.]+)e([-+]\d+)", text):
+        return rf"${number[1]} \times 10^{{{int(number[2])}}}$"
     text = re.sub(r'"([^"]*)"', "“\\1”", text).replace('"', "”")
     text = "".join(sign if sign < "\xff" or ord(sign) in TEX else "?" for sign in text)
-    text = text.translate(TEX)
+    parts = re.split(rf"\b({'|'.join(TEX_SYMBOLS)})\b", text)
+    text = "".join(TEX_SYMBOLS.get(part) or part.translate(TEX) for part in parts)
     return f"{{}}{text}" if text[:1] in ("[", "*") else text

@@ -1,10 +1,9 @@
 """The tables of a study: measures of groups of cases.
 
-Every table is one group-by: columns of the frame tell its rows apart, and each of its columns is a
-measure of the cases of a row, summarised. Layouts differ in the measures that they make: one per
-level of a factor (`protocols`), per status and truth (`status`), per parameter (`coverage`). An
-entry of [outputs] is the name of a table of outputs.toml, of a function of the study's script, or a
-mapping of the fields of `Entry`.
+A table groups the cases by columns of the frame, a row per group, and summarises measures, a column
+each. Layouts differ in the measures: one per level of a factor (`protocols`), per status and error
+(`status`), per parameter (`coverage`). An entry of [outputs] is the name of a table of outputs.toml
+or of a function of the study's script, or a mapping of the fields of `Entry`.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
 from sparsefit.study.measures import MEASURES, SYMBOLS, UNITS, Measure, in_words
 from sparsefit.study.table import Column, Row, Table, Value, sentence
+from sparsefit.study.trials import unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,8 +31,8 @@ ROWS = ("condition", "title")
 class Part(NamedTuple):
     """A column of a table: the values (rows,) of all cases, and the measure that summarises them.
 
-    each: where it is None, the cases are counted of which the value is true.
-    interval: whether `from` and `to`, of 95 % over flights, stand behind it.
+    each: the measure, or None for the number of cases with a true value.
+    interval: whether columns with the ends of a 95 % interval over flights follow.
     """
 
     column: Column
@@ -42,7 +42,7 @@ class Part(NamedTuple):
 
 
 def column_of(each: Measure) -> Column:
-    """Return the column of a measure in a table, the summary before its heading or above it."""
+    """Return the column of a measure, with the summary before its heading or above it."""
     head, _, symbol = each.heading.rpartition(" ")
     if symbol not in SYMBOLS.values():
         head, symbol = each.heading, ""
@@ -52,7 +52,7 @@ def column_of(each: Measure) -> Column:
 
 
 def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
-    """Return the columns that tell rows apart, without those that hold one value throughout.
+    """Return those of the columns that have several values, or the last one.
 
     Raises:
         InputError: for a column that the cases do not have.
@@ -63,7 +63,7 @@ def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
 
 
 def _counts(cases: pd.DataFrame) -> list[Part]:
-    """Return the columns of how many cases were planned, are ok and have no answer."""
+    """Return the columns with the numbers of planned, ok and unanswered cases."""
     counted = {"n": np.ones(len(cases), dtype=bool), "ok": measures.ended(cases, "ok"),
                "failures": ~measures.answered(cases)}  # fmt: skip
     return [Part(Column(name, format="d"), mask.astype(float)) for name, mask in counted.items()]
@@ -74,7 +74,7 @@ def summarised(entry: Entry, cases: pd.DataFrame, parts: Sequence[Part], names: 
     """Return a row per group of cases and a column per part that has a number of any case.
 
     Args:
-        names: the columns that tell rows apart, by default what varies of those of the entry.
+        names: the columns that define the groups; by default those of the entry that vary.
     """
     parts = [part for part in parts if not part.each or not np.isnan(part.values).all()]
     names = names or name_columns(cases, entry.rows or ROWS)
@@ -101,41 +101,47 @@ def summarised(entry: Entry, cases: pd.DataFrame, parts: Sequence[Part], names: 
 
 
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return a row per group: planned, answered, and each measure, with its interval if asked.
+    """Return counts and measures by group, with intervals if the entry has them.
 
-    With `along`, the factor of a pivot, a measure has a column per level of it.
+    With `along`, each measure has a column per level of that factor.
     """
     every, title, names = entry.measures, entry.title, list(entry.rows or ROWS)
     parts = [Part(column_of(each), each.values(cases), each, entry.interval) for each in every]
-    said = [each for each in every if each.miss is not None or entry.along]
+    explained = [each for each in every if each.miss is not None or entry.along]
     if entry.along:
         words, levels = entries.factor_words(entry.along), entries.levels_of(cases, entry.along)
+        several = len(every) > 1
         parts = [
-            part._replace(column=replace(part.column, name=level, group=words),
-                          values=measures.only((levels == level).to_numpy(), part.values))
+            part._replace(
+                column=replace(part.column, name=level,
+                               group=f"{part.column.name}, {words}" if several else words),
+                values=measures.only((levels == level).to_numpy(), part.values))
             for part in parts for level in levels.cat.categories
         ]  # fmt: skip
-        title = title or f"{sentence(every[0].phrase)[:-1]} along {words}"
+        what = "Measures" if several else sentence(every[0].phrase)[:-1]
+        title = title or f"{what} along {words}"
         if not entry.rows:  # a title may have several protocols
             names = [name for name in ("protocol", *ROWS[1:]) if name in cases]
-            is_told = not cases[names].drop_duplicates()["title"].duplicated().any()
-            names = names[-1:] if is_told else names
-    notes = [sentence(in_words(said))]
+            is_unique = not cases[names].drop_duplicates()["title"].duplicated().any()
+            names = names[-1:] if is_unique else names
+    notes = [sentence(in_words(explained))]
     if entry.interval:
-        drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole flights"
+        drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole {unit_of(cases)}s"
         notes.append(f"{drawn}; a share of single cases: Wilson's.")
     parts = [*_counts(cases), *parts]
     return summarised(replace(entry, title=title), cases, parts, name_columns(cases, names), notes)
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return how cases ended against what was true: within 5 %, off, no flow, nobody knows."""
+    """Return numbers of cases by status and error: within 5 %, off, no flow, or unknown truth."""
     near, truth = f"≤ {measures.OFF:g} %", np.full(len(cases), "all", object)
     if "est_mean_velocity" in cases:
         flown = measures.in_flow(cases)
         truth[flown] = np.where(measures.off(cases), "off", near)[flown]
         truth[measures.in_still_air(cases)] = "no flow"
         truth[~measures.ended(cases, *STATUSES[:4])] = "all"
+    else:
+        entry = replace(entry, notes=())  # of errors
     parts = [_counts(cases)[0]]
     for name in STATUSES:
         for fact in (near, "off", "no flow", "all"):
@@ -145,7 +151,7 @@ def status(entry: Entry, cases: pd.DataFrame) -> Table:
 
 
 def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return the share of 95 % intervals that hold the truth, a row per group and parameter."""
+    """Return the share of 95 % intervals that contain the truth, a row per group and parameter."""
     shares = measures.of_parameters(cases)
     covered, halves = shares["coverage"].ravel(), shares["half-width"].ravel()
     names = [*name_columns(cases, entry.rows or ROWS), "parameter"]
@@ -191,7 +197,7 @@ def table(study: Any, entry: str | Options) -> Table:
     """Return the table that an entry asks for, of the cases of a study.
 
     Raises:
-        InputError: for what is unknown, or of which the cases have nothing.
+        InputError: for an unknown name, or one of the other kind of study.
     """
     (made,) = tables(study, study.cases, [entry]).values()
     return made
@@ -200,7 +206,7 @@ def table(study: Any, entry: str | Options) -> Table:
 def tables(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Table]:
-    """Return tables by file name: these, or those that the study asks for, or all that fit."""
+    """Return tables by file name: those named, else those of [outputs], else all that apply."""
     import pandas as pd
 
     outputs, every = study.definition.outputs, dict[str, Table]()
@@ -222,7 +228,7 @@ def tables(
 
 
 def printed_value(reference: Any, each: Measure) -> float | None:
-    """Return the number that a reference prints of a measure; None where it prints nothing."""
+    """Return the value of a measure that a reference states, or None."""
     for kind in ("deviation", "signed-error"):
         values = getattr(reference, kind.replace("-", "_"), ())
         names = measures.three(kind)

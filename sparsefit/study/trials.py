@@ -1,4 +1,4 @@
-"""Candidates tried on the same units: what the units tell of a criterion, and of constraints.
+"""Candidates compared on the same units: a criterion with its interval, and constraints.
 
 Numbers stand as arrays (candidates, units, regimes, cases). A regime is a condition of the study.
 """
@@ -22,7 +22,7 @@ from sparsefit.study.table import significant
 if TYPE_CHECKING:
     import pandas as pd
 
-LIMITS = {  # what a constraint is of, the factor to its unit, and the unit
+LIMITS = {  # the quantity of a constraint, the factor to its unit, and the unit
     "max_failure": ("cases without an answer", 100.0, "%"),
     "max_silent_misses": ("silent misses", 100.0, "%"),
     "max_error": ("95th percentile of the largest error", 1.0, "%"),
@@ -81,7 +81,7 @@ def pooled_regimes(grid: Array) -> Array:
 
 @dataclass(frozen=True)
 class Breach:
-    """A constraint that a candidate does not keep: the regime, the value there and the limit."""
+    """A constraint that a candidate violates: the regime, the value there and the limit."""
 
     constraint: str
     regime: str
@@ -105,10 +105,10 @@ def limit_text(constraint: str, value: float) -> str:
 
 
 class Trials:
-    """The cases of a split as a grid (candidates, units, regimes, cases), and what it tells.
+    """The cases of a split as a grid (candidates, units, regimes, cases).
 
-    loss: (candidates,) of the criterion; drawn: (candidates, resamples) of it over units, of which
-    one seed draws the same for all candidates.
+    loss (candidates,): of the criterion; drawn (candidates, resamples): of resampled units, the
+    same ones for all candidates.
     """
 
     def __init__(self, cases: pd.DataFrame, candidates: Sequence[str], criterion: Criterion,
@@ -173,9 +173,9 @@ class Trials:
     def breaches(
         self, rule: Any, timed: Mapping[str, Mapping[str, float]]
     ) -> list[tuple[Breach, ...]]:
-        """Return the constraints that each candidate breaks, each in its worst regime.
+        """Return the constraints that each candidate violates, each in its worst regime.
 
-        What breaks a constraint of the cases need not be timed.
+        A candidate that violates another constraint need not be timed.
         """
         cases, flown = self.cases, measures.in_flow(self.cases)
 

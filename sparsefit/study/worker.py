@@ -1,15 +1,14 @@
-"""A process in which code of others runs, asked one thing at a time, and killed at its limit.
+"""A worker: a process that runs foreign code, one request at a time, and is killed at its limit.
 
-    worker = Worker.start(Desk, (definition,), memory=2000.0)   # Desk(definition) lives in there
-    worker.send(Ask("cases", {"unit": 3}, limit=60.0))
-    worker.receive()                                            # None while it works; an Answer
+    worker = Worker(Desk, (definition,), memory=2000.0)      # Desk(definition) lives in there
+    worker.ask("cases", {"unit": 3}, limit=60.0).content     # what its method `cases` returns
 
-    in_child(work, 4, seconds=60.0)                             # one call, and its value
+    in_child(work, 4, seconds=60.0)                          # one call, and its value
 
-The parent keeps limit and clock, whatever the process says. An ask is a pickle; an answer is one
-line of JSON with its checksum and the number of its ask, and all else that comes through the
-channel ends the process. A worker computes in one thread, in a group of processes of its own,
-which Ctrl-C does not reach; `guardian` ends it and all that it has started.
+Limits and times are the parent's. A request is a pickle; an answer is one line of JSON with its
+checksum and the number of its request; the worker is killed after any other message. It computes in
+one thread, in a process group of its own, which Ctrl-C does not reach. `guardian` ends it with all
+processes that it has started. A desk is the object whose methods are requested.
 """
 
 from __future__ import annotations
@@ -26,17 +25,19 @@ import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Any, BinaryIO
 from zlib import crc32
 
 from sparsefit.errors import InputError, SparsefitError, described, one_line
 from sparsefit.study import guardian
 
-# Processes share the work; threads inside each would only fight for the same cores.
+# The cores are shared among processes: threads in each would only compete for them.
 ONE_THREAD = dict.fromkeys(
     (
         *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"),
@@ -46,60 +47,52 @@ ONE_THREAD = dict.fromkeys(
     "1",
 )
 START_SECONDS = 180.0
+STARTS = 5  # in a row that may fail: at fewer, memory may be free again later
+TICK = 0.5  # seconds between looks at the clock, at most
 GARBLED = "the message channel of the worker process was written into"
 
 
 @dataclass(frozen=True)
-class Ask:
-    """A method of a desk that a worker is to call within `limit` seconds [s] on the wall.
-
-    desk: which process of several is asked, so that code of others shares none with ours; timed:
-    whether the answer tells its seconds.
-    """
-
-    verb: str
-    content: Mapping[str, Any]
-    limit: float
-    desk: str = ""
-    timed: bool = False
-
-
-@dataclass(frozen=True)
 class Answer:
-    """The outcome of an ask.
+    """The value of a desk's method, its wall time [s] by the parent's clock, and its CPU time [s].
 
-    status: "ok", with its content; "error" of the code that was asked; "timeout" or "crashed" where
-    the process was killed at its limit or died, with the reason. wall, cpu: seconds [s] by the
-    parent's clock, the second of the process and of all that it started. started: whether the
-    process ever began to answer.
+    cpu: of the worker and all processes that it started; NaN where the request was not timed.
     """
 
-    status: str
-    reason: str = ""
-    content: Mapping[str, Any] = field(default_factory=dict)
-    wall: float = math.nan
-    cpu: float = math.nan
-    started: bool = True
+    content: Mapping[str, Any]
+    wall: float
+    cpu: float
+
+
+class NoAnswerError(Exception):
+    """A request without an answer; the reason names the work.
+
+    status: "error" where the method raised, "timeout" where the worker was killed at its limit,
+    "crashed" where it died or broke the protocol.
+    """
+
+    def __init__(self, status: str, reason: str, work: str = "") -> None:
+        between = {"timeout": " ", "crashed": ": "}.get(status)
+        self.status, self.reason = (
+            status,
+            f"{work}{between}{reason}" if between and work else reason,
+        )
+        super().__init__(self.status, self.reason)
 
     @property
     def lost(self) -> bool:
-        """Whether the process is gone."""
+        """Whether the worker has ended."""
         return self.status in ("timeout", "crashed")
-
-    def words(self, work: str) -> str:
-        """The reason, with the work that was lost: `fitting took longer than 6 s`."""
-        between = {"timeout": " ", "crashed": ": "}.get(self.status)
-        return f"{work}{between}{self.reason}" if between else self.reason
 
 
 def packed(record: Mapping[str, Any]) -> bytes:
-    """One line: a CRC-32 and the JSON of the record; ValueError or TypeError where it has none."""
+    """One line: a CRC-32 and the JSON of the record; ValueError or TypeError without JSON."""
     body = json.dumps(record, separators=(",", ":")).encode()
     return b"%08x %s\n" % (crc32(body), body)
 
 
 def unpacked(line: bytes) -> dict[str, Any]:
-    """The record of a line without its end; empty where it is not whole."""
+    """The record of a line without its end; empty where the checksum or the JSON is wrong."""
     if line[8:9] != b" " or line[:8] != b"%08x" % crc32(line[9:]):
         return {}
     try:
@@ -116,9 +109,9 @@ def serve(
     arguments: tuple[Any, ...],
     memory: float,
 ) -> None:
-    """The life of the process: make the desk, which is answer 0, and answer until no ask comes.
+    """The worker's main loop: make the desk, which is answer 0, then answer each request.
 
-    A copy of it, made by code that forks, ends where it would answer.
+    A copy of the process, from code that forks, ends before it answers.
     """
     warnings.simplefilter("ignore")
     with suppress(ValueError, OSError, OverflowError):  # OverflowError: no limit
@@ -132,14 +125,14 @@ def serve(
             if desk is None:
                 desk = make(*arguments)
                 gc.collect()
-                gc.freeze()  # later collections pass over what is loaded now
+                gc.freeze()  # later collections skip what is loaded now
             else:
                 answer = getattr(desk, verb)(**content)
             line = packed({"number": number, "answer": answer or {}})
         except MemoryError as error:
             gc.collect()
             line = packed({"number": number, "error": f"memory: {described(error)}"})
-        except BaseException as error:  # code of others may raise anything, SystemExit too
+        except BaseException as error:  # foreign code may raise anything, SystemExit too
             line = packed({"number": number, "error": described(error)})
         if os.getpid() != owner:
             os._exit(0)
@@ -152,159 +145,181 @@ def serve(
 
 
 def memory_limit(requested: float | None, processes: int) -> float:
-    """Megabytes [MB] that a worker may take: those asked for, or its share of the machine's."""
+    """Memory [MB] of a worker: as requested, or its share of the machine's, 256 at the least."""
     if requested is not None:
         return requested
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e6
     with suppress(OSError, ValueError):  # of a container, which may have less
         total = min(total, int(Path("/sys/fs/cgroup/memory.max").read_text()) / 1e6)
-    return 0.8 * total / max(processes, 1)
+    return max(0.8 * total / processes, 256.0)
 
 
-@dataclass(eq=False)
 class Worker:
-    """The parent's end of a process: the guardian, and the two pipes of the worker.
+    """The parent's side of a process with the desk ``make(*arguments)``.
 
-    number: of the last ask; started: whether the desk is made; ask: what it is to do; sent: when,
-    on the wall and of CPU [s]; deadline: when it is killed.
+    memory: its limit [MB]; stop: an event, set when its answers are no longer needed.
+
+    Raises:
+        NoAnswerError: the process died, or making the desk raised.
     """
 
-    process: subprocess.Popen[bytes]
-    asks: int
-    answers: int
-    deadline: float
-    number: int = 0
-    started: bool = False
-    ask: Ask | None = None
-    sent: tuple[float, float] = (math.nan, math.nan)
-    buffer: bytearray = field(default_factory=bytearray)
-
-    @classmethod
-    def start(
-        cls, make: Callable[..., object], arguments: tuple[Any, ...], *, memory: float = math.inf
-    ) -> Worker:
-        """A new process in which ``make(*arguments)`` answers."""
-        theirs, asks = os.pipe()
-        answers, ours = os.pipe()
-        process = subprocess.Popen(
-            [sys.executable, "-P", guardian.__file__, str(theirs), str(ours)],
+    def __init__(
+        self,
+        make: Callable[..., object],
+        arguments: tuple[Any, ...] = (),
+        *,
+        memory: float = math.inf,
+        stop: Event | None = None,
+    ) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", guardian.__file__],
             stdin=subprocess.PIPE,
-            pass_fds=(theirs, ours),
+            stdout=subprocess.PIPE,
+            bufsize=0,
             process_group=0,
             env={**os.environ, **ONE_THREAD},
         )
-        os.close(theirs)
-        os.close(ours)
-        os.set_blocking(answers, False)
-        worker = cls(process, asks, answers, time.monotonic() + START_SECONDS)
-        worker._write(sys.path, (serve, (make, arguments, memory)))
-        return worker
+        pipes: Any = (self._process.stdin, self._process.stdout)
+        self._requests, self._answers = pipes
+        self._poll = select.poll()
+        self._poll.register(self._answers, select.POLLIN)
+        self._buffer, self._stop, self._number = bytearray(), stop or Event(), 0
+        with self._ending():
+            self._write(sys.path, (serve, (make, arguments, memory)))
+            if error := self._record(START_SECONDS).get("error"):
+                raise NoAnswerError("crashed", str(error))
+
+    @property
+    def alive(self) -> bool:
+        """Whether it takes requests."""
+        return not self._requests.closed
+
+    def ask(
+        self, verb: str, content: Mapping[str, Any], limit: float, *, work: str = "",
+        timed: bool = False,
+    ) -> Answer:  # fmt: skip
+        """Call a method of the desk, killed after `limit` [s]; work: its name in a reason.
+
+        Raises:
+            NoAnswerError: the method raised, took longer than the limit, or the process died.
+            CancelledError: `stop` was set.
+        """
+        with self._ending(work):
+            self._number += 1
+            cpu, begun = cpu_seconds(self._process.pid) if timed else math.nan, time.perf_counter()
+            self._write((self._number, verb, dict(content)))
+            record = self._record(limit)
+            wall = time.perf_counter() - begun
+            cpu = cpu_seconds(self._process.pid) - cpu if timed else math.nan
+            value, error = record.get("answer", {}), record.get("error", "")
+            if not (isinstance(value, dict) and isinstance(error, str)):
+                raise NoAnswerError("crashed", GARBLED)
+            if error:
+                raise NoAnswerError("error", error)
+            return Answer(value, wall, cpu)
+
+    @contextmanager
+    def _ending(self, work: str = "") -> Iterator[None]:
+        """Close the worker where its answer is lost, and name the work in the reason."""
+        try:
+            yield
+        except NoAnswerError as failed:
+            if failed.lost:
+                self.close()
+            raise NoAnswerError(failed.status, failed.reason, work) from None
+        except BaseException:
+            self.close()
+            raise
 
     def _write(self, *messages: object) -> None:
         content = b"".join(map(pickle.dumps, messages))
-        with suppress(BrokenPipeError):  # it has died: `receive` says so
+        with suppress(BrokenPipeError):  # it has died: `_record` raises
             while content:
-                content = content[os.write(self.asks, content) :]
+                content = content[self._requests.write(content) :]
 
-    def send(self, ask: Ask) -> None:
-        """Ask, once the last answer has come; limit and clock begin when the desk is made."""
-        self.number, self.ask = self.number + 1, ask
-        if self.started:
-            self._begin()
-        self._write((self.number, ask.verb, dict(ask.content)))
+    def _record(self, seconds: float) -> dict[str, Any]:
+        """The answer to the last request; time in which this process was stopped is not counted."""
+        seen = time.monotonic()
+        deadline = seen + seconds
+        while b"\n" not in self._buffer:
+            if self._stop.is_set():
+                raise CancelledError
+            heard = self._poll.poll(1e3 * min(max(deadline - seen, 0.0), TICK))
+            before, seen = seen, time.monotonic()
+            if seen - before > 6.0 * TICK:  # this process was stopped
+                deadline += seen - before - TICK
+            if heard:
+                chunk = os.read(self._answers.fileno(), 1 << 16)
+                if not chunk:
+                    raise NoAnswerError("crashed", self._end())
+                self._buffer += chunk
+            if len(self._buffer) > 64 << 20:
+                raise NoAnswerError("crashed", GARBLED)
+            if seen > deadline and b"\n" not in self._buffer:
+                raise NoAnswerError("timeout", f"took longer than {seconds:g} s")
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        record = unpacked(bytes(line))
+        if record.get("number") != self._number or self._buffer:
+            raise NoAnswerError("crashed", GARBLED)
+        return record
 
-    def _begin(self) -> None:
-        assert self.ask is not None
-        cpu = cpu_seconds(self.process.pid) if self.ask.timed else math.nan
-        self.deadline = time.monotonic() + self.ask.limit
-        self.sent = (time.perf_counter(), cpu)
-
-    def receive(self) -> Answer | None:
-        """The answer to the last ask; None while it works."""
-        heard, ended = time.perf_counter(), False
-        try:
-            while chunk := os.read(self.answers, 1 << 16):
-                heard = time.perf_counter()
-                self.buffer += chunk
-                if len(self.buffer) > 64 << 20:
-                    return self._lost("crashed", GARBLED)
-            ended = True
-        except BlockingIOError:
-            pass
-        while b"\n" in self.buffer:
-            line, _, rest = self.buffer.partition(b"\n")
-            record, self.buffer = unpacked(bytes(line)), rest
-            if not self.started and record.get("number") == 0:
-                if "error" in record:
-                    return self._lost("crashed", str(record["error"]))
-                self.started = True
-                if self.ask is not None:
-                    self._begin()
-                continue
-            content, error = record.get("answer", {}), record.get("error", "")
-            whole = record.get("number") == self.number and not self.buffer
-            if not (whole and isinstance(content, dict) and isinstance(error, str)):
-                return self._lost("crashed", GARBLED)
-            wall, cpu = math.nan, math.nan
-            if self.ask is not None and self.ask.timed:
-                wall, cpu = heard - self.sent[0], cpu_seconds(self.process.pid) - self.sent[1]
-            return Answer("error" if error else "ok", error, content, wall, cpu)
-        if ended:
-            return self._ended()
-        if time.monotonic() > self.deadline:
-            limit = self.ask.limit if self.started and self.ask else START_SECONDS
-            return self._lost("timeout", f"took longer than {limit:g} s")
-        return None
-
-    def _ended(self) -> Answer:
-        """The process closed its end: how it ended."""
+    def _end(self) -> str:
+        """A description of the end of a process that has closed its channel."""
         with suppress(subprocess.TimeoutExpired):
-            self.process.wait(1.0)
-        code = self.process.returncode
+            self._process.wait(1.0)
+        code = self._process.returncode
         if code is None:
-            return self._lost("crashed", "the worker process closed its message channel")
+            return "the worker process closed its message channel"
         words, number = f"ended with exit code {code}", -code if code < 0 else code - 128
         if number > 0:
             name = signal.Signals(number).name if number in signal.valid_signals() else number
             words = f"died of {name}{' (out of memory?)' if name == 'SIGKILL' else ''}"
-        return self._lost("crashed", f"the worker process {words}")
-
-    def _lost(self, status: str, reason: str) -> Answer:
-        self.close()
-        return Answer(status, reason, started=self.started)
-
-    def wait(self, ask: Ask) -> Answer:
-        """The answer to an ask, waited for."""
-        self.send(ask)
-        while (answer := self.receive()) is None:
-            wait_for([self], self.deadline - time.monotonic())
-        return answer
+        return f"the worker process {words}"
 
     def close(self) -> None:
-        """End the process for real, with all that it started, and wait until it is gone."""
-        assert self.process.stdin is not None
-        if self.process.stdin.closed:
-            return
-        self.process.stdin.close()
-        os.close(self.asks)
+        """End the process and all that it has started, and wait for its end."""
+        self._requests.close()
         try:
-            self.process.wait(10.0)
-        except subprocess.TimeoutExpired:  # stopped, by what it guards
-            self.process.kill()
-            self.process.wait()
-        os.close(self.answers)
+            self._process.wait(10.0)
+        except subprocess.TimeoutExpired:  # stopped by the code that it guards
+            self._process.kill()
+            self._process.wait()
+        self._answers.close()
 
 
-def wait_for(workers: Sequence[Worker], seconds: float) -> None:
-    """Until one of the workers says something or ends, or this many seconds [s] are over."""
-    poll = select.poll()
-    for worker in workers:
-        poll.register(worker.answers, select.POLLIN)
-    poll.poll(max(seconds, 0.0) * 1e3)
+class Crew:
+    """The workers of one slot; desk: returns the class of a desk and its arguments, by name."""
+
+    def __init__(
+        self, desk: Callable[[str], tuple[type, tuple[Any, ...]]], memory: float, stop: Event
+    ) -> None:
+        self._desk, self._memory, self._stop = desk, memory, stop
+        self._workers: dict[str, Worker] = {}
+
+    def worker(self, desk: str) -> Worker:
+        """The worker of a desk, started where there is none or it has ended."""
+        reason = ""
+        for _ in range(STARTS):
+            if desk in self._workers and self._workers[desk].alive:
+                return self._workers[desk]
+            make, arguments = self._desk(desk)
+            try:
+                self._workers[desk] = Worker(make, arguments, memory=self._memory, stop=self._stop)
+            except (NoAnswerError, OSError) as failed:
+                reason = failed.reason if isinstance(failed, NoAnswerError) else described(failed)
+        raise SparsefitError(
+            f"{STARTS} worker processes in a row ended while they started ({reason}): free "
+            "memory, or take fewer --processes"
+        )
+
+    def close(self) -> None:
+        """End the workers."""
+        for worker in self._workers.values():
+            worker.close()
 
 
 def cpu_seconds(pid: int) -> float:
-    """Seconds of CPU [s] that a process and its children have used; NaN where none are told."""
+    """CPU time [s] of a process and its children; NaN where the system does not report it."""
     total = math.nan
     with suppress(OSError, OverflowError):
         # The number of the clock of another process, as of `clock_getcpuclockid` of Linux.
@@ -317,24 +332,21 @@ def cpu_seconds(pid: int) -> float:
 
 
 def disturbed(wall: float, cpu: float) -> bool:
-    """Whether the wall [s] ran ahead of the CPU [s]; the clocks themselves may differ by .2 ms."""
+    """Whether the wall time [s] exceeds the CPU time [s] by 10 % and the clocks' own .2 ms."""
     return wall > 1.1 * cpu + 2e-4
 
 
-def resident(name: str = "VmHWM") -> float | None:
-    """Memory [MB] of this process, the most that it ever had or "VmRSS"; None without /proc."""
-    with suppress(OSError, ValueError):
-        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-            if line.startswith(name):
-                return float(line.split()[1]) / 1e3
-    return None
+def peak_memory() -> float:
+    """The peak resident memory [MB] of this process."""
+    unit = 1e6 if sys.platform == "darwin" else 1e3  # bytes and kilobytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
 
 
 class _Caller:
-    """The desk of `in_child`."""
+    """The desk of `in_child`: any function."""
 
     def call(self, work: Callable[..., Any], arguments: Sequence[Any]) -> Mapping[str, Any]:
-        """The value of a function."""
+        """The value of a function, or the message of its SparsefitError."""
         try:
             return {"value": work(*arguments)}
         except SparsefitError as error:
@@ -342,17 +354,16 @@ class _Caller:
 
 
 def in_child(work: Callable[..., Any], *arguments: object, seconds: float) -> Any:
-    """The value of ``work(*arguments)``, as JSON holds it, from another process.
+    """The value of ``work(*arguments)``, JSON-ready, computed in another process.
 
     Raises:
-        InputError: it raised one, or another error; it died, ended or took longer than ``seconds``.
+        InputError: ``work`` raised, or the process died or took longer than ``seconds``.
     """
-    worker = Worker.start(_Caller, ())
     try:
-        answer = worker.wait(Ask("call", {"work": work, "arguments": arguments}, seconds))
-    finally:
-        worker.close()
-    if answer.status == "ok" and "value" in answer.content:
-        return answer.content["value"]
-    reason = answer.reason.replace("the worker process", "its process")
-    raise InputError(answer.content.get("refused") or reason)
+        with closing(Worker(_Caller)) as worker:
+            answer = worker.ask("call", {"work": work, "arguments": arguments}, seconds).content
+    except NoAnswerError as failed:
+        raise InputError(failed.reason.replace("the worker process", "its process")) from None
+    if "value" not in answer:
+        raise InputError(str(answer.get("refused", "its process returned no value")))
+    return answer["value"]

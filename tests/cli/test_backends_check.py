@@ -8,10 +8,10 @@ import sys
 import pytest
 
 from sparsefit import backends
+from sparsefit.backends import faults
 from sparsefit.cli import main
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import plugins
-from sparsefit.solvers.contract import faults
 from sparsefit.study.study import Study
 from tests.problems import regular
 

@@ -84,7 +84,7 @@ def test_a_log_of_the_earth_beside_one_of_nowhere_is_refused(capsys):
     degrees = 1e-3 * np.arange(5.0)
     Path("recording.igc").write_text(igc(range(5), 47.0 + degrees, 8.0 + degrees))
     err = refused(capsys, "recording.igc", "flight.csv", *VEHICLE)
-    assert "flight.csv: it does not tell where on the Earth it is, and recording.igc does" in err
+    assert "flight.csv: has no longitude and latitude, and recording.igc has" in err
 
 
 def test_the_log_is_told_before_the_estimate(capsys):
@@ -97,7 +97,7 @@ def test_the_log_is_told_before_the_estimate(capsys):
     assert lines["flight"][1].endswith("301 samples over 3 s")
     assert lines["log"][0] < lines["frame"][0] < lines["mean velocity  U0"][0]
     assert lines["log"][1].startswith("100 Hz, even steps; no gaps; ")
-    assert lines["frame"][1] == "not told: x and y as in the file"
+    assert lines["frame"][1] == "not stated: x and y as in the file"
     assert Path("a.png").read_bytes().startswith(b"\x89PNG")
     assert "a.png exists; add --force" in refused(capsys, "flight.csv", "--plot", "a.png")
     assert "(known: .png, .svg, .pdf)" in refused(capsys, "flight.csv", "--plot", "a.jpg")

@@ -85,7 +85,7 @@ def test_check_and_plan_say_what_is_planned(capsys, half):
     assert "levels library.target" in run(capsys, "study", "plan", half)[1]
     record = json.loads(run(capsys, "study", "plan", half, "--json")[1])
     assert (record["units"], len(record["conditions"]), len(record["candidates"])) == (4, 2, 12)
-    assert (record["cases"], record["tables"]) == (PLANNED, ["errors", "times"])
+    assert record["cases"] == PLANNED
 
 
 def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
@@ -183,7 +183,7 @@ def test_show_runs_one_case_again_and_draws_it(capsys, finished):
     record = json.loads(run(capsys, "study", "show", finished, *options)[1])
     assert (record["case"], record["picture"]) == (case, "one.svg")
     assert "exists; add --force" in refused(capsys, "study", "show", finished, *options)
-    assert f"{case} say" in refused(capsys, "study", "show", finished, "--case", case[:-1])
+    assert f"try {case}" in refused(capsys, "study", "show", finished, "--case", case[:-1])
 
 
 def test_report_writes_the_same_again(capsys, finished):
@@ -307,6 +307,7 @@ def test_results_of_another_study_are_refused(capsys, finished):
         ("show small.toml --table eror", 'did you mean "errors"?'),
         ("show small.toml --case 0000 --output one.html", 'unknown file type ".html"'),
         ("compare nowhere small.toml", "No such file"),
+        ("run small.toml --against nowhere", "nowhere/cases.parquet: no such file"),
         ("compare small.toml small.toml --tolerance -1", "--tolerance must be"),
         ("merge small.toml folder", "holds no rows of small"),
     ],
@@ -320,9 +321,10 @@ def test_what_no_action_can_do_is_refused(capsys, finished, words, message):
 class TestCompare:
     def test_a_run_with_itself(self, capsys, finished):
         shutil.copytree("results/small", "old")
-        code, out, _ = run(capsys, "study", "compare", "old", finished)
-        assert code == 0
-        assert out.splitlines()[-1].startswith("0 of 96 cases changed")
+        for verb in (("compare", "old", finished), ("run", finished, "--against", "old")):
+            code, out, _ = run(capsys, "study", *verb)
+            assert code == 0
+            assert out.splitlines()[-1].startswith("0 of 96 cases changed")
 
     def test_what_changed_fails(self, capsys, finished):
         cases = read_cases("results/small")

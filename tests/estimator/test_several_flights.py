@@ -98,11 +98,10 @@ def test_every_flight_has_a_wind_of_its_own():
         assert max(flight.vehicle_uncertainty.wind) < 0.1
 
 
-@pytest.mark.parametrize("name", ["best-scale", "lasso", "stlsq"])
-def test_back_ends_take_the_stacked_problem(name):
-    found = sf.Estimator(backend=name, readout=REFINED).estimate(FLEET[:2])
-    assert found.status == "ok"
-    assert found.length_scale == pytest.approx(FLOW.length_scale, rel=1e-3)
+def test_exact_positions_of_one_flight_are_no_misfit():
+    exact = fly(FLOW, duration=8.0, rate=50.0, seed=4, noise=(0.1, 0.0))
+    noisy = fly(FLOW, duration=8.0, rate=50.0, seed=3, noise=(0.1, 0.02))
+    assert sf.Estimator().estimate([noisy, exact]).status == "ok"
 
 
 @pytest.mark.parametrize(
@@ -113,7 +112,7 @@ def test_back_ends_take_the_stacked_problem(name):
         ([FLEET[0], "a.csv"], "flight 2 of the list must be a Flight, not a str"),
         ([FLEET[0], FLEET[1], FLEET[0]], "flights 1 and 3 are one and the same"),
         ([FLEET[0], replace(FLEET[0])], "flights 1 and 2 are one and the same"),
-        ([FLEET[0], flown(4, 0.2)], "flight 2: 20 rows are too few to tell its noise"),
+        ([FLEET[0], flown(4, 0.2)], "flight 2: 20 rows are too few to estimate its noise"),
     ],
 )
 def test_what_is_no_list_of_flights_is_told_in_one_line(flights, words):
@@ -157,6 +156,17 @@ def test_a_flight_of_another_flow_or_vehicle_is_named(flow, tau, words):
     found = sf.Estimator(readout=REFINED).estimate([*FLEET[:2], believed])
     assert found.status == "misfit"
     assert re.search(words, found.reason), found.reason
+
+
+def test_what_wanders_in_one_flight_is_that_flights():
+    """Each has a level of its own: in two of one level, and none of the first, it was no cause."""
+    steady, wandering = flown(21, 8.0, 50.0), flown(22, 8.0, 50.0)
+    steps = np.random.default_rng(1).normal(0.0, 0.05, wandering.position.shape)
+    wandering = replace(wandering, position=wandering.position + np.cumsum(steps, axis=0))
+    found = sf.Estimator(readout=REFINED).estimate([steady, wandering])
+    assert found.status == "ok", found.reason
+    levels = [own.agreement.wander for own in found.flights]
+    assert levels[0] < 0.01 < 0.1 < levels[1]
 
 
 def test_every_flight_has_a_response_time_of_its_own():

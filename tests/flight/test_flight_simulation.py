@@ -134,6 +134,7 @@ def test_process_noise_is_the_spread_of_the_mean_derivative(substeps):
         ({"initial_velocity": (1.0, math.inf)}, r"initial_velocity\[1\]"),
         ({"flow": "cellular"}, "flow must be"),
         ({"vehicle": 0.5}, "vehicle must be"),
+        ({"thrust": np.zeros((101, 2))}, "thrust must be a ThrustSeries.*; got a ndarray"),
     ],
 )
 def test_bad_arguments_are_named_before_anything_is_flown(changes, message, monkeypatch):
@@ -222,6 +223,12 @@ def test_a_flight_that_takes_too_long_is_refused_near_its_start(monkeypatch):
     assert fly(vehicle=PointMassVehicle(1e-4)).samples == 101
 
 
+@pytest.mark.parametrize("wrong", [1.0, (1.0, 2.0, 3.0), "ab", (None, 1.0)])
+def test_a_flow_without_two_numbers_is_named(wrong):
+    with pytest.raises(InputError, match=r"must return two finite numbers, \(u, v\) .*Error\("):
+        fly(SimpleNamespace(velocity=lambda _x, _y, _t: wrong))
+
+
 def test_anything_with_a_velocity_can_be_flown():
     def shear(x, y, t=0.0):
         return np.stack(np.broadcast_arrays(0.0 * np.asarray(y), np.sin(x)), axis=-1)
@@ -253,15 +260,6 @@ def test_the_flow_velocity_by_hand_and_rows_are_samples():
     rows = VEHICLE.flow_velocity(velocity, np.ones(2))
     np.testing.assert_array_equal(rows[2], VEHICLE.flow_velocity(velocity[2], [1.0, 1.0]))
     assert rows.shape == VEHICLE.flow_velocity(velocity, velocity).shape == (4, 2)
-
-
-def test_quadratic_drag_by_hand():
-    # r = w - v = (3, 4): |r| = 5, F = 0.2 * 5 * (3, 4) = (3, 4); with tau = 0.5 another (6, 8).
-    pure, both = PointMassVehicle(math.inf, drag=0.2), PointMassVehicle(0.5, drag=0.2)
-    assert pure.flow_velocity([1.0, 1.0], [3.0, 4.0]) == pytest.approx([4.0, 5.0], abs=1e-14)
-    assert both.flow_velocity([1.0, 1.0], [9.0, 12.0]) == pytest.approx([4.0, 5.0], abs=1e-14)
-    # At rest in the flow nothing drags, and nothing is divided by zero.
-    assert pure.flow_velocity([1.0, 1.0], [0.0, 0.0]) == pytest.approx([1.0, 1.0], abs=0)
 
 
 @given(

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from sparsefit.flight import simulate_flight
@@ -32,7 +30,6 @@ FLOWS = {
     "windy": SuperposedFlow((CellularFlow(15.43, 4.21),), (4.0, -1.0)),
 }
 TWO = SuperposedFlow((PLAIN, CellularFlow(2.0, 1.5)))
-places = st.floats(-50.0, 50.0)
 PLACES = np.random.default_rng(8).uniform(-15.0, 15.0, (50, 2)).T
 
 
@@ -193,13 +190,6 @@ def test_each_sample_of_a_flight_follows_from_the_last_by_the_slow_reference(nam
 )
 def test_velocity_at_hand_worked_points(place, velocity):
     assert PLAIN.velocity(*place) == pytest.approx(velocity, abs=1e-14)
-
-
-@given(x=places, y=places)
-def test_periodic_and_never_faster_than_the_mean_velocity(x, y):
-    here = PLAIN.velocity(x, y)
-    assert PLAIN.velocity(x + 8.0, y - 16.0) == pytest.approx(here, abs=1e-11)
-    assert math.hypot(*here) <= 6.0 * (1 + 1e-14)
 
 
 def test_arrays_broadcast():

@@ -77,7 +77,7 @@ def test_nothing_is_named_where_nothing_is_wrong():
     rate, error = diagnosis.growth
     assert abs(rate) < 4 * error
     for name in ("turbulence", "wander", "swell"):
-        assert room._scanned(posterior, room.process_of(name, posterior)) < 4.0
+        assert room._scanned(posterior, room.process_of(name, posterior))[0] < 4.0
 
 
 def test_an_answer_is_at_its_maximum_though_a_search_was_left_before():
@@ -108,8 +108,40 @@ def test_what_is_wrong_is_named_with_its_size(flight, cause, size):
     assert diagnosis.suspects[0].cause == cause
     assert diagnosis.suspects[0].size == pytest.approx(size, rel=0.1)
     assert diagnosis.suspects[0].p_value < 1e-4
+    gain = 2.0 * (diagnosis.posterior.log_likelihood - posterior.log_likelihood)
+    assert sum(own.share for own in diagnosis.suspects) == pytest.approx(gain)
     pattern = diagnosis.posterior.model.pattern
     assert pattern.mean_velocity == pytest.approx(10.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, True),
+        ({"evidence": 1.9}, False),
+        ({"evidence": 1.9, "whiteness": (0.5, 9e-4)}, True),
+        *(({name: value}, False) for name, value in (("exact", 1), ("pushed", 1), ("seen", 1.0))),
+    ],
+)
+def test_process_noise_is_believed_where_a_level_is_seen_and_more_than_chance(changes, expected):
+    seen = {"exact": False, "pushed": False, "seen": 1.1, "evidence": 2.1, "whiteness": (0.5, 0.4)}
+    assert room.disturbed(SimpleNamespace(**(seen | changes))) is expected
+
+
+@pytest.mark.parametrize(
+    ("shape", "velocity", "freer"),
+    [
+        ("axis", None, {"turn", "drift"}),
+        ("pair", None, {"drift"}),
+        ("square", (0.1, 0.0), {"turn"}),
+        ("several", None, set()),
+    ],
+)
+def test_shapes_of_two_waves_may_turn_and_drift(shape, velocity, freer):
+    k = np.array([[1.0, 1.0], [1.0, -1.0]])
+    model = Model(StreamPattern.of_waves(shape, k, [1.0, -1.0], [0.0, 0.0], velocity), {})
+    groups = room.groups_of(model, {"wind"})
+    assert set(groups) & {"turn", "drift", "wind"} == freer
 
 
 def test_turbulence_is_a_level_and_no_cause():
@@ -182,13 +214,13 @@ def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(like
     """2 r s^2 / (r^2 + omega^2) of a rate r and a level s: r s^2 stays, towards the likelier r."""
     walk, tried = Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25), []
 
-    def passed(_start, models, _name):
+    def reached(_start, models):
         return -abs(np.log(models[0].disturbance.processes[0].rate / 0.25 / likelier))
 
     def refit(models, _near):
         tried.extend(models[0].disturbance.processes)
 
-    monkeypatch.setattr(room, "_passed", passed)
+    monkeypatch.setattr(room, "_reached", reached)
     other = Process("swell", ("gain",), 0.1, 0.1)
     model = Model(pattern_of(), {}, Disturbance(processes=(walk, other)))
     posterior = SimpleNamespace(models=[model], log_likelihood=0.0)

@@ -95,7 +95,7 @@ def test_the_compiled_pass_is_the_plain_one_and_that_of_blocks(levels, way, monk
         np.testing.assert_allclose(value, expected, rtol=1e-8, atol=1e-9 * size)
 
 
-@pytest.mark.parametrize("shape", ["axis", "square", "rectangle", "pair"])
+@pytest.mark.parametrize("shape", ["axis", "square", "rectangle", "pair", "scales"])
 @pytest.mark.parametrize("drift", [None, (0.3, -0.2)])
 def test_a_pattern_has_the_jacobian_of_finite_differences(shape, drift):
     pattern = StreamPattern.of_waves(shape, WAVES, *HEIGHTS, drift)
@@ -144,7 +144,7 @@ def test_cells_along_the_axes_are_those_of_the_paper():
     assert pattern.about((1.0, 2.0, 3.0)).mean_velocity == pytest.approx(15.0)
 
 
-@pytest.mark.parametrize("shape", ["rectangle", "pair"])
+@pytest.mark.parametrize("shape", ["rectangle", "pair", "scales"])
 def test_the_origin_of_the_phases_changes_no_flow(shape):
     pattern = odd_model(shape).pattern
     moved = pattern.about((0.7, -1.1, 2.0))

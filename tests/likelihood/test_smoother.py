@@ -18,10 +18,11 @@ from sparsefit.likelihood import (
     measure,
     reference,
 )
+from sparsefit.likelihood import smoother as room
 from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes
 from sparsefit.likelihood.posterior import Posterior, Rung
-from sparsefit.likelihood.smoother import LevelSteps, _bounded, inverted
+from sparsefit.likelihood.smoother import LevelSteps, Step, _bounded, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
 TRUE = StreamPattern("axis", (9.0, 4.0, 0.7, -1.2))
@@ -202,6 +203,20 @@ def test_levels_are_at_the_maximum():
         for factor in (0.97, 1.03):
             there = Rung.of(posterior.legs, np.log(factor), name)
             assert there.value < posterior.log_likelihood
+    # Of the logarithm of a variance, 600 readings hold 600/2, less those of the unknowns.
+    assert np.diag(Step.of(posterior.legs).levels[0])[1:] == pytest.approx([300.0] * 2, abs=6.0)
+
+
+@pytest.mark.parametrize(
+    ("position", "kicks", "exact"), [(0.99, 0.99, True), (1.01, 0.5, False), (0.5, 1.01, False)]
+)
+def test_a_log_is_exact_below_3e_6_of_the_length_and_1e_4_of_the_pull(position, kicks, exact):
+    pull = TRUE.mean_velocity * (1 + 0.05 * TRUE.mean_velocity) / TAU
+    bound = 1e-4 * pull * np.sqrt(TRUE.length_scale / TRUE.mean_velocity)
+    noise = Disturbance(kicks * bound, position * 3e-6 * TRUE.length_scale, 0.1)
+    model = Model(TRUE, {"response_time": TAU, "quadratic_drag": 0.05}, noise)
+    own = SimpleNamespace(legs=(SimpleNamespace(model=model),), model=model)
+    assert Posterior.exact_logs.fget(own) == (exact,)
 
 
 @pytest.mark.parametrize(
@@ -323,7 +338,6 @@ VEHICLE = {"response_time": TAU, "wind_x": 0.0, "thrust_scale": 1.0, "thrust_rot
     ("name", "value"),
     [
         *(("response_time", 0.33), ("wind_x", 0.5), ("thrust_scale", 1.1)),
-        *(("velocity_scale", 1.05), ("velocity_bias_y", 0.3), ("velocity_rotation", 0.05)),
         *(("position_scale", 0.96), ("latency", 0.06), ("latency", 0.04)),
         ("thrust_rotation", 0.1),
     ],
@@ -335,16 +349,9 @@ def test_a_parameter_that_is_free_is_measured(name, value):
     model = Model(nearby(), {"response_time": TAU}).free(name)
     if name in VEHICLE:
         model, value = model.at({name: value}), VEHICLE[name]
-    elif name == "velocity_scale":
-        speeds = speeds * value
     elif name == "position_scale":
         places = places * value
         model = model.at({"length_scale": model.pattern.length_scale * value})  # as it is seen
-    elif name == "velocity_bias_y":
-        speeds = speeds + np.array([0.0, value])
-    elif name == "velocity_rotation":
-        c, s = np.cos(value), np.sin(value)
-        speeds = speeds @ np.array([[c, s], [-s, c]])
     else:
         late = round(value * 25)
         value = late / 25
@@ -355,15 +362,6 @@ def test_a_parameter_that_is_free_is_measured(name, value):
     assert posterior.error(name) < 0.02
     away = posterior.value("length_scale") - 4.0
     assert abs(away) < 4.0 * posterior.error("length_scale")
-
-
-def test_turbulence_has_its_level():
-    log, _ = flown(12)
-    turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
-    disturbance = Disturbance(processes=(turbulence,))
-    posterior = measure(log, Model(nearby(), {"response_time": TAU}, disturbance))
-    assert posterior.converged, posterior.reason
-    assert posterior.model.disturbance.levels["turbulence"] < 0.02
 
 
 def test_a_log_that_no_number_describes_is_an_answer_with_a_reason():
@@ -388,6 +386,8 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
         bare = np.sqrt(np.linalg.inv(posterior.information)[0, 0])
         assert bare < posterior.error("mean_velocity") < 4.0 * bare
         assert abs(posterior.value("mean_velocity") - 9.0) < 4.0 * posterior.error("mean_velocity")
+        lost = replace(posterior, reason="it did not end")  # levels are integrated at an optimum
+        np.testing.assert_allclose(lost.covariance, np.linalg.inv(lost.information), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("bend", "rel"), [(3.0, 0.02), (5.0, 1e-9)])
@@ -454,3 +454,25 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
     assert inflations[0] > 1.8
     assert inflations[1] < 1.5  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
     assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
+
+
+def test_passes_that_go_to_and_fro_across_the_maximum_are_shortened(monkeypatch):
+    """Steps from x to -x of a likelihood that is lower by .1 x: no pass falls by 1, none ends."""
+
+    def at(x):
+        model = SimpleNamespace(names=(), disturbance=SimpleNamespace(levels={}))
+        return (SimpleNamespace(x=x, stride=1, model=model),)
+
+    def step_of(legs):
+        x, smoothed = legs[0].x, (SimpleNamespace(squares=np.zeros((0, 2))),)
+        return SimpleNamespace(
+            reached=-x * x - 0.1 * x, gain=x * x, levels=[np.zeros((0, 0))], blind=(),
+            smoothed=lambda: smoothed, moved=lambda _, share=1.0, __=None: at(x - 2.0 * share * x),
+        )  # fmt: skip
+
+    monkeypatch.setattr(room.Step, "of", step_of)
+    monkeypatch.setattr(room, "_gated", lambda *_: False)
+    legs, step, reason = climbed(at(0.3), [np.zeros(0)], 0)
+    assert reason == ""
+    assert step.gain < room.GAIN
+    assert legs[0].x == pytest.approx(0.0, abs=0.1)

@@ -121,8 +121,8 @@ def test_a_drifter_whose_header_has_latitude_and_longitude_swapped():
     [
         ((8.0, 8.1), (120.0, 120.1), "y = lat goes 120 … 120.1°: latitude and longitude look"),
         ((120.0, 120.1), (-95.0, -95.1), "or check their units"),
-        ((400.0, 400.1), (8.0, 8.1), "x = lon goes 400 … 400.1°"),
-        ((0.0, 60.0), (8.0, 8.1), "km from its middle: no plane"),
+        ((4e8, 4.1e8), (8.0, 8.1), r"x = lon goes 4e\+08 … 4.1e\+08°.*: no degrees; .*degE7"),
+        ((-9.0, 51.0), (-8.0, -8.1), "km from its middle: no plane"),
     ],
 )
 def test_degrees_that_are_none(x, y, words):
@@ -167,6 +167,18 @@ def test_degrees_follow_from_names_unless_a_unit_is_said():
     assert (in_metres["x"], in_metres["y"]) == (Source("Longitude", "m"), Source("lat", "m"))
 
 
+@pytest.mark.parametrize(("unit", "size"), [("rad", np.pi / 180), ("degE7", 1e7), ("°", 1.0)])
+def test_degrees_in_other_units(file, unit, size):
+    degrees = [(0, 8.0, 47.0), (1, 8.1, 47.0), (2, 8.0, 46.9)]
+    rows = [(t, lon * size, lat * size) for t, lon, lat in degrees]
+    header = ("time", f"lon [{unit}]", f"lat [{unit}]")
+    found, plain = (
+        in_si(file(csv_text(names, own)), columns="x=lon,y=lat")
+        for names, own in ((header, rows), (("time", "lon", "lat"), degrees))
+    )
+    np.testing.assert_allclose(found, plain, atol=1e-6)
+
+
 SHEET = "Zeit [ms];Ost (km);north [ft];u [cm/s];v (kn);Höhe\r\n" + "".join(
     ";".join(f"{value:.1f}".replace(".", ",") for value in row) + ";5,5\r\n" for row in ROWS
 )
@@ -175,13 +187,29 @@ SHEET = "Zeit [ms];Ost (km);north [ft];u [cm/s];v (kn);Höhe\r\n" + "".join(
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 @pytest.mark.parametrize("name", ["sheet.csv", "sheet.txt"])
 def test_what_spreadsheets_export(tmp_path, encoding, name):
-    """Decimal commas between semicolons, units in the header, a byte order mark."""
-    path = tmp_path / name
-    path.write_bytes(SHEET.encode(encoding))
+    """Decimal commas between semicolons, units in the header, a byte order mark, Excel's sep=."""
+    path, first = tmp_path / name, "sep=;\r\n" if name.endswith("csv") else ""
+    path.write_bytes((first + SHEET).encode(encoding))
     found = in_si(path, columns="time=Zeit,x=ost,y=north,vx=u,vy=v")
     np.testing.assert_allclose(found, WANTED, rtol=1e-15)
     notes = read_table(path, Layout.of("time=Zeit,x=Ost,y=north,vx=u,vy=v")).notes
     assert notes == ("time = Zeit [ms], x = Ost (km), y = north [ft], vx = u [cm/s], vy = v (kn)",)
+
+
+def test_a_comma_is_no_decimal_mark_beside_decimal_points(file):
+    path = file("time;x;y\n0.0;900;1\n0.5;1,234;1\n1.0;2,345;1\n")
+    with pytest.raises(InputError, match="line 3, column x: '1,234' is not a finite number"):
+        read_table(path)
+
+
+def test_the_header_that_numpy_writes_is_a_comment(tmp_path, file):
+    for mark in (" ", ","):
+        header = "Time[ms] x[km] y[ft] vx[cm/s] vy[kts]"
+        np.savetxt(tmp_path / "log.txt", ROWS, header=header, delimiter=mark)
+        np.testing.assert_allclose(in_si(tmp_path / "log.txt"), WANTED, rtol=1e-15)
+    numbered = file("# of a frame\n" + csv_text(range(5), ROWS))  # names of columns are numbers
+    found = in_si(numbered, columns="time=0[ms],x=1[km],y=2[ft],vx=3[cm/s],vy=4[kn]")
+    np.testing.assert_allclose(found, WANTED, rtol=1e-15)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "cp1252"])

@@ -256,6 +256,7 @@ def test_groups_are_waves_or_rings_of_them(samples, problem, groups):
         ({"family": "waves", "target": "acceleration"}, "needs family 'cells'"),
         ({"target": "flow-velocty"}, 'did you mean "flow-velocity"'),
         ({"unknown": ("wind",), "target": "acceleration"}, "needs the target 'flow-velocity'"),
+        ({"grid": (1.0, 12.0)}, "grid must be a LengthScaleGrid, not a tuple"),
         ({"every": 0}, "every must be an integer, 1 or above"),
         ({"unknown": ("thrust_acceleration", "wind")}, "cannot both be unknown"),
         ({"unknown": ("response-time",)}, 'did you mean "response_time"'),

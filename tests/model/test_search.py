@@ -12,7 +12,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Search, Start, flight_weights, propose
 from sparsefit.model import search as room
-from sparsefit.model.ladder import Ladder
+from sparsefit.model.ladder import Ladder, proposed_at
 from sparsefit.model.shapes import (
     AXIS,
     PAIR,
@@ -128,9 +128,20 @@ def test_several_length_scales_come_from_their_windows():
     search = Search.of([samples_of(flow, 0.05)], [VEHICLE], LIBRARY)
     windows = ((0.8, 0.7, 0.9), (1.1, 1.0, 1.25), (0.6, 0.55, 0.65))
     (best,) = propose(search, Start(windows=windows))
-    assert best.shape == "several"
+    assert best.shape == "scales"
     np.testing.assert_allclose(best.wavevectors[::2, 0], [0.8, 1.15], rtol=2e-3)
     np.testing.assert_allclose(np.abs(best.wavevectors[1::2]), np.abs(best.wavevectors[::2]))
+    first, *_ = propose(search, Start())
+    assert first.shape == "scales"
+    assert np.sort(first.wavevectors[::2, 0]) == pytest.approx([0.8, 1.15], rel=2e-3)
+
+
+def test_waves_are_proposed_where_the_rows_do_not_exclude_them():
+    search = Search.of([samples_of(flow_of(PAIR, (0.9, 0.8, 0.7, -1.0)), 0.05)], [VEHICLE], LIBRARY)
+    pair = next(own for own in propose(search, Start()) if own.shape == "pair")
+    near, far = (np.column_stack([s * pair.wavevectors, [0.0, 0.0]]) for s in (1.0001, 1.2))
+    assert proposed_at(search, pair, near).wavevectors == pytest.approx(near[:, :2])
+    assert proposed_at(search, pair, far) is None
 
 
 def test_unknown_vehicles_are_linear_columns_of_the_rows():
@@ -181,6 +192,17 @@ def test_lobes_are_the_tops_of_parabolas(gains, lobes, monkeypatch):
     np.testing.assert_allclose(Search.line(own, None), lobes)
 
 
+def test_a_shape_is_tried_again_only_where_it_comes_near_its_own_best():
+    search = Search.of([samples_of(flow_of(AXIS, (0.9,)), 0.05)], [VEHICLE], LIBRARY)
+    ladder = Ladder(search)
+    assert ladder.descend(AXIS, np.array([0.91])) is not None
+    assert ladder.descend(AXIS, np.array([0.6])) is None
+    assert ladder.descend(SQUARE, np.array([1.1, 0.3])) is not None  # the first of its kind
+    there = fitted(search.rows, PAIR, np.array([0.9, 0.9, 0.9, -0.9]))
+    ladder.tried = [there, fitted(search.rows, PAIR, -there.q)]  # waves of either sign are equal
+    assert [fit for fit, _ in ladder.ranked()] == [there]
+
+
 def test_waves_that_are_joined_keep_their_drift():
     shape, q = PAIR.moving, (1.0, 0.3, -0.2, 0.7, 0.3, 0.6)
     flow = flow_of(shape, q, (1.0, 0.4, 0.9, -1.5))
@@ -199,7 +221,7 @@ def test_a_flight_that_rests_or_is_too_long_is_refused_at_once():
         with pytest.raises(InputError, match="does not move"):
             Search.of([still], [VEHICLE], LIBRARY)
     far = Samples(TIME, 1e4 * TRACK, samples.velocity, samples.velocity, samples.acceleration)
-    with pytest.raises(InputError, match="too many lobes; raise the grid's lower bound"):
+    with pytest.raises(InputError, match="too many lobes; check units, or raise the lower bound"):
         Search.of([far], [VEHICLE], LIBRARY)
 
 

@@ -1,5 +1,6 @@
 """The stream: answers that hold, refusals, threads, checkpoints, and flights scored as flown."""
 
+import contextlib
 import math
 import pickle
 import time
@@ -133,6 +134,27 @@ def test_a_checkpoint_goes_on_and_threads_do_not_disturb_it(flight, whole):
         fed(shared, flight)
         assert {future.result() for future in asked} <= {"ok", "unidentifiable", "misfit"}
     assert str(shared.estimate()) == str(whole)
+
+
+@pytest.mark.parametrize("clock", [0.0, -14.0, 5.0])
+def test_positions_from_another_origin_are_not_read_as_the_flow_that_was(clock):
+    online, samples, answers = online_of(), list(samples_of(flown(duration=28.0))), []
+    for moment, place, velocity in samples[:700]:
+        online.update(moment, place, velocity)
+    assert online.estimate().status == "ok"
+    for moment, place, velocity in samples[700:]:
+        with contextlib.suppress(sf.InputError):
+            online.update(moment + clock, place + np.array([50.0, -30.0]), velocity)
+        answers.append(online.estimate())
+    assert answers[-1].status == "ok"  # found again
+    sure = [own for own in answers[20:] if own.status == "ok"]
+    np.testing.assert_allclose([own.mean_velocity for own in sure], 10.0, rtol=0.05)
+
+
+@pytest.mark.parametrize("thrust", [(1.0,), 3.0, (math.nan, 1.0)])
+def test_a_thrust_that_is_no_pair_is_named(thrust):
+    with pytest.raises(sf.InputError, match="thrust"):
+        online_of().update(0.0, (0.0, 0.0), (0.0, 0.0), thrust)
 
 
 def test_bad_samples_are_refused_and_change_nothing(flight):

@@ -47,11 +47,6 @@ def test_primal_and_dual_of_two_columns_worked_by_hand():
     assert found.kind == "duality_gap"
 
 
-def test_gap_vanishes_at_the_soft_threshold_of_orthogonal_columns():
-    assert certify(THETA, TARGET, [[1.5], [0.5]], 0.5, lasso_penalty(2)).value <= 1e-16
-    assert certify(THETA, TARGET, [[0.5], [0.0]], 1.5, lasso_penalty(2)).value <= 1e-16
-
-
 def lasso_by_enumeration(theta, target, rms, alpha):
     """The least P(V) over all sign patterns, in 50 digits, with V (k,) of one target."""
     m, k = theta.shape
@@ -257,6 +252,13 @@ def test_a_dual_point_has_each_rounding_on_its_safe_side(alpha):
     s = min(alpha / ((1.0 + error) * (1.0 + gamma)), y / longer)
     off = s * y * error + s**2 * np.sqrt(2.0) * error + gamma * (12.0 * s + s**2)
     assert least == pytest.approx(3.0 * s - off, rel=1e-12)
+
+
+def test_the_pull_of_a_root_is_the_residual_on_the_scale_of_the_target():
+    """The derivative of |Y| |R| by R, where |Y| = 10 and |R| = 5; zero without a residual."""
+    residual, target = np.array([[3.0, 0.0], [0.0, 4.0]]), np.array([[6.0, 8.0], [0.0, 0.0]])
+    np.testing.assert_allclose(RootSquares().pull(residual, target), 2.0 * residual)
+    assert not RootSquares().pull(0.0 * residual, target).any()
 
 
 def test_signs_are_those_of_weights_that_are_not_rounding():

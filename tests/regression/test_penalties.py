@@ -105,10 +105,10 @@ def test_hand_values() -> None:
     assert float(slope.value(column)) == 11.0
     assert slope.dual_norm(column)[0] == pytest.approx(7 / 3)
     assert np.allclose(slope.prox(np.array([[3.0], [2.5]]), 1.0), [[1.25], [1.25]])
-    for pull, objections in (((2.5, 0.7), (2.5, -1)), ((1.9, 1.5), (1.9, 1.5)), ((1, 1), (-1, -1))):
+    for pull, violations in (((2.5, 0.7), (2.5, -1)), ((1.9, 1.5), (1.9, 1.5)), ((1, 1), (-1, -1))):
         columns = np.array([pull], float).T
-        assert slope.objections(columns, np.zeros((2, 1)), 1.0).tolist() == list(objections)
-        assert slope.objections(columns, np.ones((2, 1)), 1.0).tolist() == [-1.0, -1.0]
+        assert slope.violations(columns, np.zeros((2, 1)), 1.0).tolist() == list(violations)
+        assert slope.violations(columns, np.ones((2, 1)), 1.0).tolist() == [-1.0, -1.0]
     fused = FusedNorm(3, 0.5)
     assert float(fused.value(np.array([[1.0], [1.0], [0.0]]))) == 1.5
     # runs: all (6 / 1.5), the last two (5 / 1.5), the middle (2 / 1.5), the last (3 / 1)

@@ -57,6 +57,7 @@ def test_the_message_names_the_column_and_counts_the_others():
         ({"groups": [0, np.nan]}, "groups holds NaN"),
         ({"groups": [0, None]}, "labels of one kind"),
         *(({"groups": groups}, "one label per column") for groups in ([0], [0, 1, 2], [[0, 1]], 0)),
+        ({"intercept": "no"}, "intercept must be true or false, not 'no'"),
         ({"names": "ab"}, "names must be a list"),
         ({"names": 4}, "names must be a list"),
         ({"names": ["only one"]}, "one name per column, 2 of them"),
@@ -228,18 +229,10 @@ def test_a_fit_predicts_and_has_a_frame_by_names():
     single = sf.fit(frame, target[:, 0], "lasso", alpha_fraction=0.01)
     assert single.predict(frame).shape == (60,)
     assert single.predict(theta[0]) == pytest.approx(theta[0] @ single.weights)
+    assert single.intercept == 0.0
     np.testing.assert_array_equal(fit.to_frame().loc["<b>"], fit.weights[1])
     with pytest.raises(InputError, match="predict needs 4 columns, not 3"):
         fit.predict(theta[:, :3])
-
-
-def test_a_fit_with_an_intercept_predicts_with_it():
-    theta, target = arrays(1)
-    posed = sf.RegressionProblem.from_arrays(theta, target + 7.0, intercept=True)
-    fit = sf.fit(posed, "lasso", alpha_fraction=1e-3)
-    assert fit.predict(theta) == pytest.approx(target[:, 0] + 7.0, abs=0.1)
-    assert fit.intercept == pytest.approx(7.0, abs=0.1)
-    assert sf.fit(theta, target, "lasso").intercept == 0.0
 
 
 def test_columns_of_a_frame_are_taken_by_their_names():
@@ -249,11 +242,23 @@ def test_columns_of_a_frame_are_taken_by_their_names():
     turned = frame[["d", "c", "<b>", "a"]].assign(more=1.0)
     np.testing.assert_array_equal(fit.predict(turned), fit.predict(theta))
     np.testing.assert_array_equal(fit.predict(pd.DataFrame(theta)), fit.predict(theta))
-    with pytest.raises(InputError, match="predict needs the column 'a', and theta has it not"):
+    with pytest.raises(InputError, match="predict needs the column 'a', which theta does not have"):
         fit.predict(turned.drop(columns="a"))
     assert list(fit.to_frame().columns) == ["u", "v"]
     assert list(sf.fit(frame, pd.Series(target[:, 0], name="u"), "lasso").to_frame()) == ["u"]
     assert list(sf.fit(frame, pd.Series(target[:, 0]), "lasso").to_frame()) == ["0"]
+
+    named = pd.Series({"d": 1, "c": 1, "<b>": 0, "a": 0})  # labels by the names of the columns
+    for groups in (named, named.to_dict()):
+        given = RegressionProblem.from_arrays(frame, target, groups=groups).groups
+        assert given.tolist() == [0, 0, 1, 1]
+    rows = pd.Series(target[::-1, 0], index=frame.index[::-1])
+    for given in ((frame, rows), (frame, target, None, None)):
+        weight = rows if len(given) > 2 else None
+        with pytest.raises(InputError, match=r"theta and \w+ differ in their index: align them"):
+            RegressionProblem.from_arrays(*given, sample_weight=weight)
+    with pytest.raises(InputError, match="column 'c' must hold real numbers: could not convert"):
+        sf.fit(frame.assign(c="text"), target, "lasso")
 
     class Named(np.ndarray):  # as of packages whose arrays of any shape have a name
         name, to_numpy = "whole", np.asarray
@@ -275,6 +280,8 @@ def test_weights_and_an_intercept_go_with_arrays(name):
     np.testing.assert_allclose(fit.weights, by_hand.weights, atol=1e-9)
     whole = fit.predict(theta + 3.0)[twice]
     assert whole.mean() == pytest.approx(target[twice].mean() + 7.0)
+    alike = RegressionProblem.from_arrays(theta, target, sample_weight=np.full(60, 3.0))
+    np.testing.assert_allclose(alike.target, target)  # weights are relative
 
 
 def test_alpha_stands_beside_its_fraction():
@@ -303,6 +310,10 @@ def test_a_path_has_a_frame_and_a_picture(targets):
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert labels[0].split(" of ")[0] == "<b>"
     assert axes.xaxis_inverted()
+    alike = pd.DataFrame(problem(1).theta, columns=["a", "a", "b", "b"])
+    drawn = sf.path(alike, problem(1).target, "lasso", 12).plot(Figure().subplots())
+    assert len(drawn.lines) <= 4
+    assert len(sf.path(problem(1), "lasso", [1.0]).plot(Figure().subplots()).lines) == 1  # zero
 
 
 def test_notebooks_show_penalty_status_and_weights_and_escape_names():

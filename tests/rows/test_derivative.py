@@ -38,23 +38,24 @@ def test_straight_lines_are_exact_on_uneven_steps(method):
     np.testing.assert_allclose(samples.position[:, 1], -3.0 * samples.time, atol=1e-15)
 
 
-def test_central_is_exact_for_parabolas_on_uneven_steps():
+@pytest.mark.parametrize("method", ["central", "midpoint"])
+def test_two_sides_are_exact_for_parabolas_on_uneven_steps(method):
     curve = np.column_stack([UNEVEN**2, 3 * UNEVEN - UNEVEN**2])
-    samples = Derivative("central")(flight_of(UNEVEN, curve, curve))
-    expected = np.column_stack([2 * UNEVEN, 3 - 2 * UNEVEN])[1:-1]
+    samples = Derivative(method)(flight_of(UNEVEN, curve, curve))
+    expected = np.column_stack([2 * samples.time, 3 - 2 * samples.time])
     np.testing.assert_allclose(samples.acceleration, expected, atol=1e-13)
 
 
-def test_savgol_is_exact_for_polynomials_of_its_order_up_to_the_kept_edges():
-    time = np.arange(20) / 10.0
-    curve = np.column_stack([time**4 - time, time**3])
-    samples = Derivative("savgol", window=7, order=4)(flight_of(time, curve, curve))
-    inner = time[3:-3]
+@pytest.mark.parametrize(("window", "order"), [(7, 4), (5, 4), (7, 2), (3, 1)])
+def test_savgol_is_exact_for_polynomials_of_its_order_up_to_the_kept_edges(window, order):
+    time, half = np.arange(20) / 10.0, window // 2
+    curve = np.column_stack([time**order - time, 3.0 * time])
+    samples = Derivative("savgol", window=window, order=order)(flight_of(time, curve, curve))
+    inner = time[half:-half]
     np.testing.assert_array_equal(samples.time, inner)
-    np.testing.assert_allclose(samples.velocity, curve[3:-3], atol=1e-12)
-    np.testing.assert_allclose(
-        samples.acceleration, np.column_stack([4 * inner**3 - 1, 3 * inner**2]), atol=1e-11
-    )
+    np.testing.assert_allclose(samples.velocity, curve[half:-half], atol=1e-12)
+    expected = np.column_stack([order * inner ** (order - 1) - 1, np.full(len(inner), 3.0)])
+    np.testing.assert_allclose(samples.acceleration, expected, atol=1e-11)
 
 
 def test_forward_is_equation_15():
@@ -64,35 +65,6 @@ def test_forward_is_equation_15():
     np.testing.assert_array_equal(samples.position, flight.position[:-1])
     by_hand = (flight.velocity[3] - flight.velocity[2]) / (UNEVEN[3] - UNEVEN[2])
     np.testing.assert_array_equal(samples.acceleration[2], by_hand)
-
-
-def test_savgol_5_4_weights_are_the_classical_ones():
-    time = np.arange(5) / 2.0
-    flight = waves(time)
-    samples = Derivative("savgol")(flight)
-    weights = np.array([1, -8, 0, 8, -1]) / 12 / 0.5
-    np.testing.assert_allclose(samples.acceleration[0], weights @ flight.velocity, atol=1e-13)
-    np.testing.assert_allclose(samples.position, flight.position[2:3], atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    ("settings", "order"),
-    [
-        ({"method": "forward"}, 1),
-        ({"method": "central"}, 2),
-        ({"method": "midpoint"}, 2),
-        ({"method": "savgol", "window": 5, "order": 4}, 4),
-        ({"method": "savgol", "window": 7, "order": 2}, 2),
-        ({"method": "savgol", "window": 3, "order": 1}, 2),
-    ],
-)
-def test_order_of_convergence(settings, order):
-    errors = []
-    for count in (101, 201):
-        samples = Derivative(**settings)(waves(np.linspace(0.0, 2.0, count)))
-        exact = np.column_stack([4 * np.cos(4 * samples.time), -np.sin(samples.time)])
-        errors.append(np.abs(samples.acceleration - exact).max())
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -16,8 +16,7 @@ from sparsefit import backends
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import Solution
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers.registry import solver
-from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, regular
+from tests.problems import DEGENERATE_KINDS, degenerate, regular
 
 
 class NotADataclass:
@@ -210,31 +209,6 @@ def test_exact_paths_agree_with_the_referee_on_degenerate_problems(name, more, s
             slack = (1e-8 + conic.certificate.value) * null
             assert fit.certificate.primal <= conic.certificate.primal + 1e-8 * null
             assert fit.certificate.primal == pytest.approx(conic.certificate.primal, abs=slack)
-
-
-@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
-@pytest.mark.parametrize("noise", [0.0, 0.3])
-@pytest.mark.parametrize("length_scale", [4.2, 2.6])
-@pytest.mark.parametrize(
-    ("name", "more", "peer", "fractions"),
-    [
-        ("lasso", {}, "scikit-learn-cd", [0.3, 0.1, 0.03]),
-        ("group-lasso", {"separate": True}, "celer", [0.5, 0.2, 0.1]),
-    ],
-)
-def test_peers_agree_on_flights(name, more, peer, fractions, length_scale, noise):
-    problem = flight_problem(length_scale, velocity_noise=noise)
-    backend = backends.get(name, **more)
-    design, target, penalty = problem.design, problem.target, backend.penalty(problem)
-    along, null = sf.path(problem, backend, fractions), problem.statistics.null_objective
-    assert sum(fit.repaired for fit in along.fits) == 0
-    others = solver(peer).path(design, target, penalty, along.alphas, 1e-9)
-    for fit, scaled in zip(along.fits, others, strict=True):
-        assert fit.status == "ok"
-        residual = target - design.predict(scaled)
-        other = np.sum(residual**2) / (2 * len(target)) + fit.alpha * penalty.value(scaled)
-        assert fit.certificate.primal <= other + 1e-12 * null
-        assert other - fit.certificate.primal <= 1e-6 * null
 
 
 @pytest.mark.parametrize(

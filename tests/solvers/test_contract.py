@@ -284,20 +284,6 @@ def test_a_path_is_its_points(case):
         assert found.weights == close(backend, solved(PROBLEM, point).weights)
 
 
-@pytest.mark.parametrize("solver", [None, "clarabel"])
-@pytest.mark.parametrize("fraction", [0.7, 0.2, 0.01])
-def test_groups_of_one_reproduce_the_lasso(fraction, solver):
-    single = rebuilt(PROBLEM, groups=np.arange(PROBLEM.columns))
-    more = {"solver": solver} if solver else {}
-    grouped = backends.get("group-lasso", alpha_fraction=fraction, separate=True, **more)
-    expected = answered(backends.get("lasso", alpha_fraction=fraction)).weights
-    assert solved(single, grouped).weights == close(grouped, expected)
-    one = rebuilt(single, target=PROBLEM.target[:, :1])
-    joint = dataclasses.replace(grouped, separate=False)
-    expected = solved(one, backends.get("lasso", alpha_fraction=fraction)).weights
-    assert solved(one, joint).weights == close(joint, expected)
-
-
 @pytest.mark.parametrize("case", OF_SQUARES, ids=describe)
 @pytest.mark.parametrize("seed", range(2))
 def test_orthonormal_columns_give_the_prox_of_their_correlations(case, seed):

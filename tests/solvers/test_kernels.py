@@ -15,8 +15,12 @@ from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import exact, kernels
 from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.kernels import BEGIN, KERNELS, STOP, kernel_for
-from sparsefit.solvers.newton import Columns, relative_gap, settled, towards_clusters_optimum
-from sparsefit.solvers.registry import solver
+from sparsefit.solvers.newton import (
+    Columns,
+    relative_gap,
+    solved_by_newton,
+    towards_clusters_optimum,
+)
 
 homotopy = pytest.importorskip("sparsefit.solvers.homotopy", reason="it was not compiled")
 variances = pytest.importorskip("sparsefit.solvers.variances", reason="it was not compiled")
@@ -73,7 +77,7 @@ def test_going_on_is_going_at_once_and_compiled_is_generic(kind, seed):
     on = Columns(penalty, cross, len(z), z.T @ z / len(z), z)
     for alpha, point in zip(alphas[3::5], values[3::5], strict=True):
         start = np.zeros(cross.shape)
-        generic, gap, _ = settled(on, float(alpha), start, 1e-13)
+        generic, gap, _ = solved_by_newton(on, float(alpha), start, 1e-13)
         assert gap < 1e-9
         np.testing.assert_allclose(point, generic, atol=2e-4)
 
@@ -115,7 +119,7 @@ def test_groups_that_outnumber_the_rows_are_descended_to_the_same_optimum(
     largest = float(penalty.dual_norm(design.correlate(target)).max())
     alphas = largest * np.geomspace(1.0, 3e-2, 12)
     with monkeypatch.context() as patch:
-        patch.setattr(exact, "HELD", 0)  # without rows there is no descent
+        patch.setattr(exact, "STORED", 0)  # without rows there is no descent
         whole = exact.exact_path(design, target, penalty, alphas)
     monkeypatch.setattr(kernels, "MOST", most)
     if most > 1:
@@ -163,6 +167,24 @@ def test_clusters_of_columns_that_are_alike_are_certified(kind):
         scaled = points.weights / design.rms[:, None]
         gaps = duality_gaps(design, target, scaled, alphas, penalty)
         assert max(gap.bound for gap in gaps) < 1e-8
+
+
+@pytest.mark.parametrize("most", [0, 500])
+def test_sparse_clusters_are_descended_in_their_columns_to_the_optimum(most, monkeypatch):
+    """Or Newton's method ends it; neither forms Z'Z."""
+    rng = np.random.default_rng(8)
+    theta = sparse.random(90, 700, 0.05, "csc", random_state=rng)
+    target = theta[:, :4] @ rng.normal(size=(4, 1)) + 0.05 * rng.normal(size=(90, 1))
+    design, penalty = Design(theta, 90), SortedNorm(np.linspace(1.0, 0.3, 700))
+    alphas = float(penalty.dual_norm(design.correlate(target)).max()) * np.geomspace(0.9, 0.05, 6)
+    whole = exact.exact_path(Design(theta.toarray(), 90), target, penalty, alphas)
+    monkeypatch.setattr(kernels, "CLUSTERED", most)
+    monkeypatch.setattr(Design, "products", None)
+    points = exact.exact_path(design, target, penalty, alphas)
+    assert points.complete.all()
+    np.testing.assert_allclose(points.weights, whole.weights, atol=1e-6)
+    gaps = duality_gaps(design, target, points.weights / design.rms[:, None], alphas, penalty)
+    assert max(gap.bound for gap in gaps) < 1e-8
 
 
 @pytest.mark.parametrize(
@@ -274,7 +296,10 @@ def drawn(seed, rows, columns, density):
     theta = theta @ sparse.diags(rng.uniform(0.1, 10.0, columns))
     truth = rng.normal(size=columns) * (rng.random(columns) < 0.1)
     target = theta @ truth + 0.1 * rng.normal(size=rows)
-    return Design(sparse.csc_matrix(theta), rows), target
+    theta = sparse.csc_matrix(theta)
+    if seed % 2:
+        theta.indices, theta.indptr = theta.indices.astype(np.int64), theta.indptr.astype(np.int64)
+    return Design(theta, rows), target
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -302,18 +327,6 @@ def test_every_point_of_a_path_is_optimal(seed, centred, ridge, rows, columns, d
         limit, used = alpha * penalty.weights, values != 0
         assert np.abs(pull - limit * np.sign(values))[used].max(initial=0.0) < 1e-8 * alpha
         assert (np.abs(pull) - limit).max() < 1e-8 * alpha
-
-
-def test_its_weights_are_those_of_the_referee():
-    design, target = drawn(7, 100, 150, 0.1)
-    penalty = AbsoluteValues(np.ones(150), ridge=0.2)
-    cross = design.correlate(target[:, None])[:, 0]
-    alphas = np.abs(cross).max() * np.array([0.5, 0.1, 0.02])
-    long = design.source.astype(float)
-    long.indices, long.indptr = long.indices.astype(np.int64), long.indptr.astype(np.int64)
-    weights, _, _ = descent_path(Design(long, 100), target, cross, penalty, alphas)
-    reference = solver("clarabel").path(design, target[:, None], penalty, alphas, 1e-10)
-    np.testing.assert_allclose(weights, reference[:, :, 0], atol=1e-6)
 
 
 def test_columns_that_are_copies_share_an_optimum():

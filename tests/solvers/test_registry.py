@@ -380,7 +380,7 @@ def test_what_a_solver_does_not_take_is_refused_in_a_line():
     with pytest.raises(InputError, match="scikit-learn-lars solves LASSO only"):
         path_of("scikit-learn-lars", Design(theta, 60), target, PENALTIES["joint"])
     assert "cones" in solver("osqp").takes(PENALTIES["joint"])
-    assert "conic form" in solver("clarabel").takes(_Unstated(np.ones(K)))
+    assert "no method `conic`" in solver("clarabel").takes(_Unstated(np.ones(K)))
 
 
 class _Unstated(AbsoluteValues):

@@ -1,5 +1,6 @@
 """Solvers that behave as their name says: what a study of one's own solvers must survive."""
 
+import gc
 import os
 import time
 from collections import Counter
@@ -11,7 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 SHARED = ("plain", "caches", "silent", "lazy", "sleeps", "memory", "exits", "odd", "spoils")
-DEEDS = (*SHARED, "clock", "judge", "hangs", "dies", "writes")  # each in a process of its own
+APART = ("clock", "judge", "hangs", "dies", "writes", "cuts")  # each in a process of its own
+DEEDS = (*SHARED, *APART)
 KEPT = {}
 CALLS = Counter()
 
@@ -53,6 +55,10 @@ def do(deed, work, key):
         os._exit(3)
     if deed == "spoils":
         raise ValueError("one\ntwo")
+    if deed == "cuts":  # the file of its answer
+        for file in (each for each in gc.get_objects() if isinstance(each, np.memmap)):
+            os.truncate(file.filename, 8)
+        raise ValueError("cut")
     if deed == "odd":
         return "no"
     if deed == "memory":

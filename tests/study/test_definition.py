@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.study.definition import Definition, read_definition
+from sparsefit.study.plan import Definition, read_definition
 
 GOOD = """
 name = "good"
@@ -82,7 +82,7 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
     assert (study.name, study.seed, study.flights.count) == ("good", 20201120, 6)
     assert (study.rules.case_timeout, study.rules.tolerance) == (30.0, 1e-6)
     assert study.flights.count * len(study.flights.cells) == 6 * 2 * 2 * 3
-    assert list(dict.fromkeys(c.choice.label for c in study.flights.cells)) == ["lasso", "literal"]
+    assert list(dict.fromkeys(c.backend.label for c in study.flights.cells)) == ["lasso", "literal"]
     bare = load(tmp_path, GOOD.replace('"derivative.method"', "derivative.method"))
     assert (bare.flights.protocols, bare.hash) == (study.flights.protocols, study.hash)
     swept = GOOD.replace('"flights.velocity_noise"', "flights.velocity_noise")
@@ -116,6 +116,7 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("seed = 20201120", f"seed = 0x{'f' * 5000}", "more than 300 digits"),
         ("seed = 20201120", 'seed = 1\nkind = "flight"', 'did you mean "flights"?'),
         ('question = "Which back-end is nearest?"', "", '"question" missing'),
+        ("question = ", "qestion = ", 'key "qestion" unknown: did you mean "question"?'),
         ('name = "good"', 'name = "../good"', "name must be 1 to 64"),
         ('name = "good"', 'name = ""', '"name" must be one non-empty line'),
         ('name = "good"', 'name = 3', '"name" must be text'),
@@ -157,7 +158,7 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ('"forward"', '"forwards"', "[derivative]"),
         ('"signed-sum"', "3", "[readout]"),
         ('"derivative.method"', '"derivative.methd"', 'did you mean "method"?'),
-        ('"derivative.method"', '"derivatve.method"', 'did you mean "derivative"?'),
+        ('"derivative.method"', '"derivatve.method"', 'did you mean "derivative.method"?'),
         ('name = "paper"', 'name = "better"', 'lists \'better\' twice'),
         ('name = "paper"\n', "", '[protocols] key "name" missing'),
         ('"derivative.method" =', '"flights.velocity_noise" = 1.0\n"derivative.method" =',
@@ -165,7 +166,8 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("[0.0, 0.5]", "[]", '[sweep] key "flights.velocity_noise" must not be an empty list'),
         ("[0.0, 0.5]", "[0.5, 0.5]", "twice"),
         ("[0.0, 0.5]", "[0.0, -0.5]", "with flights.velocity_noise = -0.5: [flights]"),
-        ("flights.velocity_noise", "flights.count", 'has no "count"'),
+        ("flights.velocity_noise", "flights.count", "of the whole study: set it in [flights]"),
+        ("flights.velocity_noise", "velocity_noise", 'did you mean "flights.velocity_noise"?'),
         # who solves
         ('name = "lasso"', 'name = "laso"', 'did you mean "lasso"?'),
         ('name = "lasso"\n', "", '[backends] key "name" missing'),

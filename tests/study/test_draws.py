@@ -170,11 +170,16 @@ def test_cases_of_logs_have_an_estimate_and_no_error(folder):
     assert row[3]["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
 
 
-def test_a_log_that_changes_is_another_study(folder, flight):
+def test_a_log_that_changes_leaves_the_cases_of_the_others(folder, flight):
     first = load_logs(folder)
     shorter = sf.Flight(flight.time[:-1], flight.position[:-1], flight.velocity[:-1], VEHICLE)
     sf.write_flight(shorter, folder / "a.csv", overwrite=True)
-    assert load_logs(folder).hash != first.hash
+    (folder / "b.csv").rename(folder / "0.csv")
+    later = load_logs(folder)
+    assert later.hash != first.hash
+    assert later.planned.keys[:3] == first.planned.keys[3:]
+    assert not set(later.planned.keys[3:]) & set(first.planned.keys)
+    assert later.plan()["log"][0] == "0.csv 3-6.99 s"
 
 
 @pytest.mark.parametrize(

@@ -91,12 +91,6 @@ class TestPage:
 
 
 class TestComparison:
-    def test_the_same_run_did_not_change(self):
-        made = compare(spread(flights=10), spread(flights=10), ("a", "b"))
-        assert not made.differs
-        assert made.sentence.startswith("0 of 20 cases changed, 0 of them in status")
-        assert not any(table.rows for table in made.tables.values())
-
     def test_what_changed(self):
         first, second = spread(flights=10), spread(flights=10)
         lasso = second["label"] == "lasso"
@@ -121,11 +115,6 @@ class TestComparison:
         made = compare(spread(flights=10), second, ("a", "b"))
         assert math.isinf(made.cases["change"][0])
         assert made.record()["lost"] == 1
-
-    def test_cases_of_one_run_alone_are_counted(self):
-        made = compare(spread(flights=10), spread(flights=10).iloc[:-3], ("a", "b"))
-        assert made.only == (3, 0)
-        assert made.differs
 
     def test_problems_are_compared_by_their_held_out_error_and_not_by_time(self):
         def solved(factor, error=0.1):

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import sparsefit as sf
@@ -63,7 +64,7 @@ def test_deeds_of_solvers_are_their_own_cases(tmp_path):
     assert first.loc["sleeps", "cpu"] < first.loc["sleeps", "wall"]
     assert "answered another problem" in first.loc["caches", "reason"]
     assert "points answered" in first.loc["silent", "reason"]
-    for name in ("caches", "silent", "memory", "exits", "odd", "spoils"):
+    for name in ("caches", "silent", "memory", "exits", "odd", "spoils", "cuts"):
         assert ends[name] == "error", name
     assert first.loc["memory", "reason"].find("emory") >= 0
     assert "SystemExit: away" in first.loc["exits", "reason"]
@@ -154,11 +155,6 @@ def test_problems_are_judged_by_held_out_rows_and_truth(own):
     assert lazy.loc["correlated", "holdout_error"] > cases.loc["correlated", "holdout_error"]
 
 
-def test_a_kind_of_study_is_told_before_its_keys(tmp_path):
-    text = PROBLEMS.replace('"problems"', '"problem"') + CORRELATED
-    assert "unknown value 'problem': did you mean \"problems\"?" in refusal(tmp_path, text)
-
-
 def test_a_solver_is_named_where_there_are_several(own, tmp_path):
     both = '[[backends]]\nname = "lasso"\n[[backends]]\nname = "ridge"\n'
     study = load(tmp_path, PROBLEMS + CORRELATED + both)
@@ -170,7 +166,60 @@ def test_a_solver_is_named_where_there_are_several(own, tmp_path):
 def test_the_winner_is_a_call(own, capsys, tmp_path):
     options = ("--criterion", "mean holdout-error", "--output", str(tmp_path / "e.json"))
     assert main(["select", own.path, *options]) == 0
-    assert "use it: sf.path(problem, 'lasso'" in capsys.readouterr().out
+    assert "use it: sf.fit(problem, 'lasso', alpha_fraction='auto')" in capsys.readouterr().out
+
+
+def test_the_winner_of_single_fits_is_a_call_with_its_penalty(tmp_path):
+    lasso = '[[backends]]\nname = "lasso"\nalpha_fraction = [0.3, 0.01]\nsolver = "celer"\n'
+    study = load(
+        tmp_path, PROBLEMS.replace("[path]\npoints = 4\nlowest = 0.1\n", "") + CORRELATED + lasso
+    )
+    words = "sf.fit(problem, 'lasso', alpha_fraction=0.01)"
+    assert study.call(study.plan()["candidate"][1]) == words
+
+
+def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame(rng.normal(size=(40, 3)), columns=["a", "b", "lift"])
+    frame["drag"] = 5.0 + frame["a"] - 2.0 * frame["b"]
+    frame.iloc[:30].to_csv(tmp_path / "x.csv", index=False)
+    frame.iloc[30:, ::-1].to_parquet(tmp_path / "later.parquet")
+    keys = 'file = "x.csv"\ntest = "later.parquet"\nintercept = true\n'
+    lasso = '[[backends]]\nname = "lasso"\n'
+    entry = f'{PROBLEMS}{lasso}[[problems]]\n{keys}target = ["drag", "lift"]\n'
+    study = load(tmp_path, entry)
+    data = study.experiment._data[0]
+    assert (data.names, data.theta.shape, data.target.shape) == (("a", "b"), (30, 2), (30, 2))
+    assert np.abs(data.theta.mean(axis=0)).max() < 1e-15
+    np.testing.assert_allclose(data.test[1][:, 0], data.test[0] @ [1.0, -2.0])
+    assert study.call(study.plan()["candidate"][0]).startswith("sf.fit(theta, target, 'lasso'")
+    other = load(tmp_path, entry.replace('["drag", "lift"]', '["lift", "drag"]'))
+    assert study.plan()["identity"][0] != other.plan()["identity"][0]
+    for words, said in (
+        (keys, 'needs target = "COLUMN"'),
+        (f'{keys}target = "draf"\n', 'has no column "draf": did you mean "drag"?'),
+        (f'{keys}target = "a"\n'.replace("later", "none"), "No such file"),
+        (f'{keys}targt = "a"\n', 'did you mean "target"?'),
+        ('file = "x.xlsx"\ntarget = "a"\n', 'unknown file type ".xlsx"'),
+    ):
+        assert said in refusal(tmp_path, f"{PROBLEMS}{lasso}[[problems]]\n{words}")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (",a,y\n0,1,2\n", "a column has no name"),
+        ("a,y\n1,2\n3,\n", 'column "y" of row 2 holds no finite number'),
+        ("a,y\n1,2,3\n3,4,5\n", "Expected 2 columns, got 3"),
+        ("a,y\nx,2\n", "invalid value 'x'"),
+        ("a,y\n" + "1," * 600_000, "Expected 2 columns, got 600001"),
+        ("y\n1\n", "no column beside the target"),
+    ],
+)
+def test_what_is_no_table_of_numbers_is_refused(tmp_path, text, said):
+    (tmp_path / "x.csv").write_text(text)
+    with pytest.raises(InputError, match=said):
+        read_data(tmp_path / "x.csv", ("y",))
 
 
 def test_a_changed_solver_file_is_another_case(own):
@@ -185,13 +234,14 @@ def test_a_changed_solver_file_is_another_case(own):
 
 
 def test_a_changed_file_of_a_command_is_another_case(tmp_path):
-    words = f'command = ["{sys.executable}", "program.py", "--quick"]'
+    words = f'command = ["{sys.executable}", "../program.py", "--quick", "{"long " * 99}"]'
     text = f'{PROBLEMS}{CORRELATED}[[solvers]]\nname = "theirs"\n{words}\n'
     text += '[[backends]]\nname = "lasso"\nsolver = ["theirs", "homotopy"]\n'
     identities = []
+    (tmp_path / "studies").mkdir()
     for program in (COMMAND, f"{COMMAND}# changed"):
         (tmp_path / "program.py").write_text(program)
-        identities.append(load(tmp_path, text).plan()["identity"])
+        identities.append(load(tmp_path / "studies", text).plan()["identity"])
     assert (identities[0] == identities[1]).tolist() == [False, True]
 
 
@@ -229,7 +279,10 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\ngenerator = "wide"\nsupport = 9999\n', "lie within the columns"),
         ('[[problems]]\ngenerator = "wyde"\n', 'did you mean "wide"?'),
         ('[[problems]]\nfile = "no.npz"\n', "No such file"),
-        ('[[problems]]\nfile = "x.bin"\n', "must be a file of kind"),
+        ('[[problems]]\nfil = "no.npz"\n', 'did you mean "file"?'),
+        (f'{CORRELATED}[[solvers]]\nname = "mine"\n', "is of no package: give its file"),
+        (f"{CORRELATED}[select]\nmax_error = 1.0\n", "max_error is for flights"),
+        ('[[problems]]\nfile = "x.bin"\n', 'unknown file type ".bin"'),
         ('[[problems]]\ndataset = "iris"\nalter = "as it was"\n', 'did you mean "as it is"?'),
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
         ("[[problems]]\n", "flights, file, dataset, generator; entry 1 has none"),
@@ -292,7 +345,7 @@ def test_files_are_bounded_before_they_are_unpacked(tmp_path):
     (tmp_path / "cut.npz").write_bytes((tmp_path / "y.npz").read_bytes()[:-40])
     entry = '[[problems]]\nfile = "cut.npz"\n[[backends]]\nname = "lasso"\n'
     assert "cut.npz: not readable" in refusal(tmp_path, PROBLEMS + entry)
-    np.savez(tmp_path / "z.npz", theta=np.array(["a"]), target=np.zeros(1))
+    np.savez(tmp_path / "z.npz", theta=np.array([["a"]]), target=np.zeros(1))
     with pytest.raises(InputError, match="theta holds <U1, and only numbers"):
         read_data(tmp_path / "z.npz")
 
@@ -317,7 +370,7 @@ def test_truth_in_a_file_is_weights_or_which_columns_are_used(tmp_path, targets)
     np.savez(tmp_path / "a.npz", **arrays, truth=truth)
     assert read_data(tmp_path / "a.npz").truth.tolist() == [False, True, False, True]
     np.savez(tmp_path / "b.npz", **arrays, truth=truth[:3])
-    with pytest.raises(InputError, match=r"b.npz: truth is \(3,.* a column: \(4,\)"):
+    with pytest.raises(InputError, match=r"b.npz: truth is \(3,.* of \(5, 4\): it needs 4"):
         read_data(tmp_path / "b.npz")
 
 

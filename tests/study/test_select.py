@@ -89,7 +89,21 @@ def test_of_one_problem_there_is_no_interval_and_errors_are_of_rows_held_out():
                    for name, size in (("a", 0.2), ("b", 0.1))))  # fmt: skip
     selection = chosen(made, criterion="mean holdout-error")
     assert str(selection).startswith("Use b.\n- Score: 10.0 % on 1 problem.\n- Rule: mean held-out")
-    assert [each.title for each in selection.tied] == ["a"]
+    assert "- Ties: not tested, 1 problem shows no spread." in str(selection)
+    assert selection.tied == []
+
+
+def test_nobody_is_recommended_by_an_infinite_score():
+    made = cases({"lasso": (2.0, 2.0)}, failed={("lasso", n) for n in (1, 3, 5, 7)})
+    assert "has a finite score" in headline(chosen(made, criterion="median timescale-error"))
+
+
+def test_two_penalties_of_one_back_end_are_told_by_their_titles():
+    made = cases({"lasso 0.1": (2.0, 2.0), "lasso 0.3": (2.0, 2.0)}, reading="ladder")
+    made["title"], made["backend"] = "ladder: " + made["backend"], "lasso"
+    selection = chosen(made.assign(label="lasso"))
+    said = "Use ladder; any of 2 candidates will do, lasso 0.1 is the simplest."
+    assert headline(selection) == said
 
 
 def test_a_noisy_difference_is_a_tie():
@@ -108,7 +122,7 @@ def test_a_noisy_difference_is_a_tie():
 def test_a_criterion_is_the_summary_of_its_measure(words):
     made = cases({"lasso": (4.0, 4.0)}, failed={("lasso", 3)})
     made["est_timescale"] *= np.random.default_rng(1).uniform(0.9, 1.1, len(made))
-    scored, each = chosen(made, criterion=words).chosen, measure(words)
+    scored, each = chosen(made, criterion=words).ranked[0], measure(words)
     for split, value in (("validate", scored.validate), ("evaluate", scored.evaluate)):
         assert value == pytest.approx(each.summary_of(each.values(made[made["split"] == split])))
 

@@ -5,8 +5,8 @@
  *     replay FLIGHT.csv REFERENCE.csv TOL     compares each of them with a line of the reference
  *
  * FLIGHT.csv, as sparsefit writes it: lines "# response_time=0.5", the header time,x,y,vx,vy (and
- * ax,ay: a measured thrust), and a line a sample. Exit code: 0 where all answers agree, 1 where one
- * does not, 2 where a file cannot be read. This program is for a desk, not for flight.
+ * ax,ay: a measured thrust), and a line per sample. Exit code: 0 where all answers agree, 1 where
+ * one does not, 2 where a file cannot be read. This program is for a desk, not for flight.
  */
 #include "sf_flow.h"
 
@@ -16,34 +16,33 @@
 #include <string.h>
 
 #define EVERY 50
-#define VALUES 9
+#define COLUMNS 10
 
-/* Standard errors, tests and the heading count absolutely, by these; the doubt has to be equal. */
-static const double LEAST[VALUES] = {0, 0, 0, 0, 1, 1, 1, 10, 10};
+/* Added to the reference in relative differences; sample and doubt have to be equal. */
+static const double SCALE[COLUMNS] = {0, 0, 0, 0, 0, 1, 1, 1, 10, 10};
 
 static sf_flow flow;
+static sf_config config = {.response_time = (sf_real)HUGE_VAL, .thrust_scale = 1, SF_SETTINGS};
+static const struct {
+    const char *name;
+    sf_real *value;
+} SETTING[] = {{"# response_time=", &config.response_time}, {"# drag=", &config.drag_coefficient},
+               {"# thrust_ax=", &config.thrust_x}, {"# thrust_ay=", &config.thrust_y},
+               {"# thrust_scale=", &config.thrust_scale}};
 
-static sf_real setting(const char *text, const char *key, double value)
+/* Read a line of numbers with commas between them; 0 where there is none. */
+static int numbers(FILE *file, int count, double *value)
 {
-    const char *place = strstr(text, key);
-    return (sf_real)(place ? strtod(place + strlen(key), NULL) : value);
-}
-
-/* The largest difference of an answer from a line of the reference. */
-static double difference(const char *line, long sample, const double values[VALUES])
-{
-    char *place;
-    double worst = strtol(line, &place, 10) == sample ? 0 : HUGE_VAL;
+    char line[1024], *place = line;
     int i;
-    for (i = 0; i < VALUES; i++) {
-        const double wanted = strtod(place + 1, &place);
-        const double apart = fabs(values[i] - wanted) / (LEAST[i] + fabs(wanted));
-        if (i == 0 && values[0] != wanted) {
-            return HUGE_VAL;
-        }
-        worst = apart > worst ? apart : worst; /* NaN of both, where nothing is followed, agrees */
+    if (fgets(line, (int)sizeof line, file) == NULL) {
+        return 0;
     }
-    return worst;
+    for (i = 0; i < count; i++) {
+        value[i] = strtod(place, &place);
+        place += *place == ',';
+    }
+    return 1;
 }
 
 int main(int count, char **names)
@@ -51,64 +50,60 @@ int main(int count, char **names)
     const double tolerance = count > 3 ? strtod(names[3], NULL) : HUGE_VAL;
     FILE *flight = count > 1 ? fopen(names[1], "r") : NULL;
     FILE *reference = count > 3 ? fopen(names[2], "r") : NULL;
-    char line[1024], head[8192] = "\n";
-    sf_config config = {.thrust_scale = 1, SF_SETTINGS};
-    double begin = 0, worst = 0;
+    char line[1024] = "";
+    double row[7] = {0}, wanted[COLUMNS], begin = 0, worst = 0;
     long sample = 0;
-    int thrust = 0, i;
+    int columns, i;
     if ((flight == NULL) || ((count > 2) && (reference == NULL))) {
         (void)fprintf(stderr, "replay FLIGHT.csv [REFERENCE.csv TOLERANCE]: cannot be read\n");
         return 2;
     }
     while ((fgets(line, (int)sizeof line, flight) != NULL) && (line[0] == '#')) {
-        (void)strncat(head, line + 2, sizeof head - strlen(head) - 1u);
+        for (i = 0; i < (int)(sizeof SETTING / sizeof SETTING[0]); i++) {
+            const size_t length = strlen(SETTING[i].name);
+            if (strncmp(line, SETTING[i].name, length) == 0) {
+                *SETTING[i].value = (sf_real)strtod(line + length, NULL);
+            }
+        }
     }
-    thrust = strstr(line, ",ax,ay") != NULL;
-    config.response_time = setting(head, "\nresponse_time=", HUGE_VAL);
-    config.drag_coefficient = setting(head, "\ndrag=", 0);
-    config.thrust_x = setting(head, "\nthrust_ax=", 0);
-    config.thrust_y = setting(head, "\nthrust_ay=", 0);
-    config.thrust_scale = setting(head, "\nthrust_scale=", 1);
-    if (sf_init(&flow, &config) != SF_OK) {
-        (void)fprintf(stderr, "%s: no vehicle\n", names[1]);
+    columns = strstr(line, ",ax,ay") != NULL ? 7 : 5;
+    if ((sf_init(&flow, &config) != SF_OK) ||
+        ((reference != NULL) && (fgets(line, (int)sizeof line, reference) == NULL))) {
+        (void)fprintf(stderr, "replay: no vehicle in %s, or an empty reference\n", names[1]);
         return 2;
     }
     (void)puts("sample,doubt,mean_velocity,length_scale,timescale,heading,mean_velocity_error,"
                "length_scale_error,innovation,unexplained");
-    if ((reference != NULL) && (fgets(line, (int)sizeof line, reference) == NULL)) {
-        (void)fprintf(stderr, "%s: empty\n", names[2]);
-        return 2;
-    }
-    while (fgets(line, (int)sizeof line, flight) != NULL) {
-        double n[7] = {0};
-        char *place = line;
+    while (numbers(flight, columns, row)) {
         sf_real z[6];
-        for (i = 0; i < (thrust ? 7 : 5); i++) {
-            n[i] = strtod(place + (i > 0), &place);
-            z[i > 0 ? i - 1 : 0] = (sf_real)n[i];
+        for (i = 0; i < 6; i++) {
+            z[i] = (sf_real)row[i + 1];
         }
-        begin = sample == 0 ? n[0] : begin;
-        (void)sf_update(&flow, (uint64_t)floor((n[0] - begin) * 1e9 + 0.5), z, z + 2,
-                        thrust ? z + 4 : NULL);
+        begin = sample == 0 ? row[0] : begin;
+        (void)sf_update(&flow, (uint64_t)floor((row[0] - begin) * 1e9 + 0.5), z, z + 2,
+                        columns == 7 ? z + 4 : NULL);
         sample++;
         if (sample % EVERY == 0) {
             sf_answer a;
             (void)sf_estimate(&flow, &a);
-            const double values[VALUES] = {
-                a.doubt, a.mean_velocity, a.length_scale, a.timescale, a.heading,
+            const double value[COLUMNS] = {
+                (double)sample, a.doubt, a.mean_velocity, a.length_scale, a.timescale, a.heading,
                 a.mean_velocity_error, a.length_scale_error, a.innovation, a.unexplained};
-            (void)printf("%ld,%d", sample, (int)a.doubt);
-            for (i = 1; i < VALUES; i++) {
-                (void)printf(",%.9g", values[i]);
+            const int same = (reference == NULL) || (numbers(reference, COLUMNS, wanted) &&
+                             (wanted[0] == value[0]) && (wanted[1] == value[1]));
+            worst = same ? worst : HUGE_VAL;
+            for (i = 0; i < COLUMNS; i++) {
+                (void)printf(i > 0 ? ",%.9g" : "%.9g", value[i]);
+                if ((reference != NULL) && (i > 1)) { /* NaN of both agrees */
+                    worst = fmax(worst, fabs(value[i] - wanted[i]) / (SCALE[i] + fabs(wanted[i])));
+                }
             }
             (void)puts("");
-            if ((reference != NULL) && (fgets(line, (int)sizeof line, reference) != NULL)) {
-                worst = fmax(worst, difference(line, sample, values));
-            }
         }
     }
     (void)fclose(flight);
     if (reference != NULL) {
+        worst = numbers(reference, 1, wanted) ? HUGE_VAL : worst; /* the flight is shorter */
         (void)fclose(reference);
         (void)printf("largest difference %.2g\n", worst);
     }

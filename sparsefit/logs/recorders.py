@@ -1,14 +1,19 @@
-"""PX4's logs (ULog), read by pyulog: the local position that the vehicle's own filter estimates.
+"""Logs of recorders: PX4's (ULog, read by pyulog) and those of gliders (IGC, read by aerofiles).
 
-``vehicle_local_position``: x north and y east [m], vx and vy [m/s], time stamps in us (PX4 user
-guide, "ULog File Format" and "vehicle_local_position"). Samples that the filter itself calls
-invalid are left out. What the vehicle is (its response to the air) no log of PX4 tells.
+ULog: ``vehicle_local_position``, the position estimated by the vehicle's own filter: x north and y
+east [m], vx and vy [m/s], time stamps in us (PX4 user guide, "ULog File Format" and
+"vehicle_local_position"). Samples that the filter marks as invalid are left out. The response time
+of the vehicle is in no PX4 log.
+
+IGC: B records, time in UTC to a second, longitude and latitude to a thousandth of a minute of arc,
+1.9 m (FAI, Technical Specification for GNSS Flight Recorders, appendix A).
 """
 
 from __future__ import annotations
 
 import io
 from contextlib import redirect_stdout, suppress
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any, BinaryIO
 
@@ -17,15 +22,15 @@ import numpy as np
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, optional
 from sparsefit.logs.flight_table import COLUMNS, FlightTable
-from sparsefit.logs.layout import Layout, check_size
+from sparsefit.logs.layout import Layout, Source, check_size
 from sparsefit.logs.plane import plane_of
 
 TOPIC = "vehicle_local_position"
 FIELDS = COLUMNS[1:5]  # of the topic: those of a flight
 
 
-def decode(file: BinaryIO, layout: Layout) -> FlightTable:
-    """Return the table in a log's content, as far as it goes; its frame is NED.
+def decode_ulog(file: BinaryIO, layout: Layout) -> FlightTable:
+    """Return the table in a log, up to where it is damaged; its frame is NED.
 
     Raises:
         InputError: if it is no ULog, or holds no valid local position.
@@ -53,7 +58,7 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         raise InputError(f"{words}; give a log of a flight with a position fix")
     check_size(int(np.count_nonzero(valid)))
     stamps = np.asarray(local.get("timestamp_sample", 0)).astype(np.int64)
-    if not np.all(stamps):  # of the measurement, where it has any
+    if not np.all(stamps):  # of the measurement, if it has them
         stamps = np.asarray(local["timestamp"]).astype(np.int64)
     local, stamps = {name: np.asarray(local[name])[valid] for name in local}, stamps[valid]
     values = (local[name].astype(np.float64) for name in FIELDS)
@@ -77,6 +82,40 @@ def decode(file: BinaryIO, layout: Layout) -> FlightTable:
         row = int(np.argmax(clock["time_utc_usec"] > 0))
         since_boot = int(stamps[0]) - int(clock["timestamp"][row])
         moment = int(clock["time_utc_usec"][row]) + since_boot
-        with suppress(OverflowError):  # beyond all calendars
+        with suppress(OverflowError):  # beyond the calendar
             epoch = datetime.fromtimestamp(0, UTC) + timedelta(microseconds=moment)
     return FlightTable(columns, {}, "NED", tuple(notes), origin, epoch)
+
+
+def decode_igc(file: BinaryIO, layout: Layout) -> FlightTable:
+    """Return the positions in a recorder's file; their frame is ENU.
+
+    Raises:
+        InputError: if it is no IGC file, or holds no fixes.
+        MissingExtra: without aerofiles, or without pyproj.
+    """
+    most = 100_000_000  # bytes: ten fixes a second for two days
+    text = file.read(most + 1).decode("utf-8", errors="replace")
+    if len(text) > most:
+        raise InputError(f"more than {most / 1e6:.0f} MB: no recording of a flight")
+    igc = optional("aerofiles.igc", "IGC files need aerofiles", "logs")
+    try:
+        read = igc.Reader(skip_duplicates=True).read(io.StringIO(text))
+    except Exception as error:  # aerofiles may raise anything on other files
+        words = str(error)[:100] or type(error).__name__
+        raise InputError(f"not an IGC file, or a damaged one: {words}") from None
+    damaged, fixes = read["fix_records"]
+    valid = [fix for fix in fixes if fix["validity"] == "A"]  # three-dimensional
+    if not valid:
+        raise InputError(f"none of {len(fixes)} fixes is valid; give a recording of a flight")
+    clock = [fix["datetime"].replace(tzinfo=None) for fix in valid]
+    cells = {"time": np.array(clock, "M8[us]")}
+    cells |= {name: np.array([fix[name] for fix in valid]) for name in ("lon", "lat")}
+    degrees = replace(layout, sources={"x": Source("lon"), "y": Source("lat")})
+    table = degrees.flight_table(list(cells), lambda _: (cells, ({}, "")), "fix {}".format)
+    notes = [f"fixes from {clock[0]:%Y-%m-%d %H:%M:%S} UTC, rounded to 1.9 m", *table.notes[1:]]
+    if len(valid) < len(fixes):
+        notes.append(f"{len(fixes) - len(valid)} of {len(fixes)} fixes are not valid, and left out")
+    if damaged:
+        notes.append("some records cannot be read, and are left out")
+    return replace(table, notes=tuple(notes))
