@@ -69,9 +69,10 @@ class Squares:
         """
         if np.isinf(self.clip):
             return np.full((1, target.shape[1]), np.inf)
+        rounding = 64.0 * np.finfo(float).eps * np.abs(target).max(axis=0, initial=0.0)
         target = self.centred(target)
         size = 1.4826 * self._median(np.abs(target))
-        size = np.where(size > 0, size, np.sqrt(np.mean(np.square(target), axis=0)))
+        size = np.where(size > rounding, size, np.sqrt(np.mean(np.square(target), axis=0)))
         knot = self.clip * np.where(size > 0, size, 1.0)[None]
         if self.roots is None:
             return knot
