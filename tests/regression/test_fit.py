@@ -276,7 +276,6 @@ def test_the_size_of_a_target_that_is_mostly_zero_is_its_rms():
     target[0] = 4.0, 0.0
     assert loss.bound(target).tolist() == [[2.0 * 2.0**0.5, 2.0]]
     assert loss.bound(np.arange(-2.0, 3.0)[:, None]) == pytest.approx(2.0 * 1.4826)
-    equal = np.sqrt([2.0, 3.0, 5.0, 7.0, 1.0])  # sqrt(w) y / sqrt(w) is not y to the last digit
-    weighted = Squares(clip=2.0, roots=equal, direction=equal / np.linalg.norm(equal))
-    target = equal[:, None] * [[0.3], [0.3], [0.3], [0.3], [1.3]]
-    assert weighted.bound(target) == pytest.approx(2.0 * 0.2**0.5 * equal[:, None])
+    equal = np.ones(5) / 5**0.5  # four rows differ by their last digit only
+    target = np.array([[1.0], [1.0 + 2e-16], [1.0 - 1e-16], [1.0 + 2e-16], [2.0]])
+    assert Squares(clip=2.0, direction=equal).bound(target) == pytest.approx(2.0 * 0.2**0.5)
