@@ -4,16 +4,13 @@ Other packages declare theirs in the entry-point group ``sparsefit.backends``; a
 listed with its error, and raises it when requested.
 """
 
-import dataclasses
-import io
-from collections.abc import Iterator, Mapping
-from contextlib import redirect_stdout
+from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from sparsefit.errors import InputError, is_integer, one_line, unknown
+from sparsefit.errors import InputError, is_integer, unknown
 from sparsefit.regression import fit as certified
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
@@ -33,8 +30,20 @@ from sparsefit.regression.problem import RegressionProblem
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-__all__ = ["BACKENDS", "PUBLIC", "Backend", "Solution", "distribution", "faults", "fit", "get",
-           "known", "load", "named", "path", "settings_of"]  # fmt: skip
+__all__ = [
+    "BACKENDS",
+    "PUBLIC",
+    "Backend",
+    "Solution",
+    "distribution",
+    "fit",
+    "get",
+    "known",
+    "load",
+    "named",
+    "path",
+    "settings_of",
+]
 BACKENDS: Mapping[str, str] = {
     "least-squares": "sparsefit.solvers.least_squares:LeastSquares",
     "stlsq": "sparsefit.solvers.least_squares:STLSQ",
@@ -169,51 +178,3 @@ def _posed(
     if settings and not isinstance(backend, str):
         raise InputError(f'{verb}: settings go with a back-end\'s name: {verb}(..., "lasso", ...)')
     return problem, get(backend, **settings) if isinstance(backend, str) else named(backend)
-
-
-def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
-    """Violations of a plug-in's contract on one problem, a sentence each; none where it keeps it.
-
-    Its ``solve`` is pure, returns weights that fit better than zeros do, and says ``ok`` of what
-    its certificate confirms only; its class is a frozen dataclass.
-    """
-    try:
-        return list(_faults(backend, problem))
-    except ModuleNotFoundError as error:
-        return [one_line(f"it needs the package {error.name!r}, which is not installed")]
-    except Exception as error:  # of code of others, or of what it returned: the last fault
-        return [one_line(f"raises {type(error).__name__}: {error}")]
-
-
-def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
-    if not type(backend).__dataclass_params__.frozen:
-        yield "its class is not frozen: write @dataclass(frozen=True)"
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        first, second = _solved(backend, problem), _solved(backend, problem)
-    if printed.getvalue():
-        yield f"it prints: {one_line(printed.getvalue())[:60]!r}"
-    weights, again = first.weights, second.weights
-    if weights is None or again is None:
-        yield "it has no weights for a problem that every least-squares solver solves"
-        return
-    if np.linalg.norm(weights - again) > 1e-6 * np.linalg.norm(weights):
-        yield "it answers the same problem differently the second time: solve must be pure"
-    elif first.status == "ok" and (judged := certified(problem, backend)).status != "ok":
-        yield f"it says ok of an answer that is not: {judged.reason}"
-    residual = np.linalg.norm(problem.target - problem.design.raw_predict(weights))
-    if not residual <= (1.0 + 1e-9) * np.linalg.norm(problem.target):
-        yield "its weights fit the target worse than zeros do"
-    if dataclasses.replace(backend) != backend:
-        yield "two of it with the same settings are not equal: it is no plain dataclass"
-
-
-def _solved(backend: Backend, problem: RegressionProblem) -> Solution:
-    arrays = {name: getattr(problem, name) for name in ("theta", "target", "groups")}
-    lent = {name: values.copy() for name, values in arrays.items()}
-    solution = backend.solve(dataclasses.replace(problem, **lent))
-    for name, values in arrays.items():
-        if not np.array_equal(lent[name], values):
-            where = f"writes into problem.{name}, which it is given to read: work on a copy"
-            raise InputError(f"back-end {backend.name!r} {where}")
-    return solution

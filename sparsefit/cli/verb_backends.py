@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+import dataclasses
+import io
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.options import SETTING, Option, Verbs, verb
 from sparsefit.cli.terminal import Reply
 from sparsefit.errors import InputError, MissingExtra, one_line, one_of, positive
+
+if TYPE_CHECKING:
+    from sparsefit.regression.backend import Backend, Solution
+    from sparsefit.regression.problem import RegressionProblem
 
 ANSWER = ("status", "reason", "settings", "certificate", "seconds", "mean_velocity", "length_scale")
 ABOUT = """List the back-ends with their settings, or check that one works.
@@ -94,7 +102,6 @@ def run_check(args: argparse.Namespace) -> Reply:
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """The answer of the back-end on a small flight, JSON-ready."""
     import sparsefit as sf
-    from sparsefit.backends import faults
 
     backend = sf.backends.get(name, **settings)
     truth, vehicle = sf.CellularFlow(15.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
@@ -112,3 +119,56 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     answer = {key: record[key] for key in ANSWER if key in record}
     true = {"true_mean_velocity": truth.mean_velocity, "true_length_scale": truth.length_scale}
     return {"backend": name, **answer, **true, "faults": wrong}
+
+
+def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
+    """Violations of a plug-in's contract on one problem, a sentence each; none where it keeps it.
+
+    Its ``solve`` is pure, returns weights that fit better than zeros do, and says ``ok`` of what
+    its certificate confirms only; its class is a frozen dataclass.
+    """
+    try:
+        return list(_faults(backend, problem))
+    except ModuleNotFoundError as error:
+        return [one_line(f"it needs the package {error.name!r}, which is not installed")]
+    except Exception as error:  # of code of others, or of what it returned: the last fault
+        return [one_line(f"raises {type(error).__name__}: {error}")]
+
+
+def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
+    import numpy as np
+
+    from sparsefit.regression.fit import fit
+
+    if not type(backend).__dataclass_params__.frozen:
+        yield "its class is not frozen: write @dataclass(frozen=True)"
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        first, second = _solved(backend, problem), _solved(backend, problem)
+    if printed.getvalue():
+        yield f"it prints: {one_line(printed.getvalue())[:60]!r}"
+    weights, again = first.weights, second.weights
+    if weights is None or again is None:
+        yield "it has no weights for a problem that every least-squares solver solves"
+        return
+    if np.linalg.norm(weights - again) > 1e-6 * np.linalg.norm(weights):
+        yield "it answers the same problem differently the second time: solve must be pure"
+    elif first.status == "ok" and (judged := fit(problem, backend)).status != "ok":
+        yield f"it says ok of an answer that is not: {judged.reason}"
+    residual = np.linalg.norm(problem.target - problem.design.raw_predict(weights))
+    if not residual <= (1.0 + 1e-9) * np.linalg.norm(problem.target):
+        yield "its weights fit the target worse than zeros do"
+    if dataclasses.replace(backend) != backend:
+        yield "two of it with the same settings are not equal: it is no plain dataclass"
+
+
+def _solved(backend: Backend, problem: RegressionProblem) -> Solution:
+    """The solution on copies of the arrays; InputError where the back-end writes into one."""
+    arrays = {name: getattr(problem, name) for name in ("theta", "target", "groups")}
+    lent = {name: values.copy() for name, values in arrays.items()}
+    solution = backend.solve(dataclasses.replace(problem, **lent))
+    for name, values in arrays.items():
+        if (lent[name] != values).any():
+            where = f"writes into problem.{name}, which it is given to read: work on a copy"
+            raise InputError(f"back-end {backend.name!r} {where}")
+    return solution

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from sparsefit import backends
-from sparsefit.backends import faults
 from sparsefit.cli import main
+from sparsefit.cli.verb_backends import faults
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import plugins
 from sparsefit.study.study import Study
