@@ -5,10 +5,14 @@ The names of a first program are here; the others are in `sparsefit.flows`, `.pe
 that the command line answers at once.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+TYPE_CHECKING = False  # that of `typing`, whose import takes longer than all of this file
 if TYPE_CHECKING:
+    from typing import Any
+
     from sparsefit import backends as backends
     from sparsefit import estimator as estimator
     from sparsefit import flows as flows

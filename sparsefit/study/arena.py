@@ -132,14 +132,13 @@ def size_of(data: Data) -> dict[str, Value]:
 class Arena:
     """The solvers' workers, and the problem that they solve.
 
-    home: the folder of the arrays; met: the contenders that each worker has called before;
+    The folder of the crew holds the arrays. met: the contenders that each worker has called before;
     overhead: the time [s] of an empty request to it; lost: the ends of contenders whose first call
     was lost, which are not tried again; first: the times [s] of first calls; unit, data, file: the
     current problem.
     """
 
     design: ProblemDesign
-    home: Path
     crew: Crew
     met: dict[Worker, set[int]] = field(default_factory=dict)
     overhead: dict[Worker, float] = field(default_factory=dict)
@@ -151,7 +150,7 @@ class Arena:
 
     def outcomes(self, unit: int, data: Data, cells: Sequence[int]) -> list[Outcome]:
         """Certify each case, time all by turns until their medians are known, cross-validate."""
-        self.unit, self.data, self.file = unit, data, self.home / f"{unit}.npz"
+        self.unit, self.data, self.file = unit, data, self.crew.home / f"{unit}.npz"
         if not self.file.exists():
             write_data(data, self.file)
         cases, clock, turn = [self._case(cell) for cell in cells], self.design.clock, 0
@@ -212,7 +211,7 @@ class Arena:
         """Weights (p, k, n) of a solve of all rows, or without a range; wall and CPU [s]."""
         worker = self._acquainted(case)
         shape = (case.points, self.data.theta.shape[1], self.data.target.shape[1])
-        with (self.home / "weights").open("w+b") as file:
+        with (self.crew.home / "weights").open("w+b") as file:
             np.full(shape, np.nan).tofile(file)
             file.flush()
             rows = {"file": str(self.file), "seed": seed, "without": without}
@@ -266,7 +265,7 @@ class Arena:
 
     def _judge(self, case: Case, weights: Array) -> None:
         """Certify an answer in a process of its own; the worst of the case counts."""
-        path = self.home / "judged.npy"
+        path = self.crew.home / "judged.npy"
         np.save(path, weights)
         content = {"file": str(self.file), "contender": case.number, "weights": str(path)}
         judge = self.crew.worker(JUDGE)

@@ -6,10 +6,12 @@
 The guardian runs as a script and imports nothing of sparsefit. It reads no request: it only waits
 for the hangup of their pipe, when the run ends, even by SIGKILL. Processes that leave the worker's
 session become children of the guardian when their parent ends (a subreaper, of Linux). The guardian
-kills them all when the worker or the run ends; the worker is killed when the guardian ends.
+kills them all when the worker or the run ends; the worker is killed when the guardian ends. Its
+argument is the folder of the run's files, which it removes if the run has ended without doing so.
 """
 
 import ctypes
+import fcntl
 import os
 import pickle
 import select
@@ -42,6 +44,8 @@ def main() -> None:
             for child in children:
                 _end(os.kill, child)
             os.waitpid(-1, 0)
+    for folder in sys.argv[1:]:
+        remove_abandoned(folder)
     code = os.waitstatus_to_exitcode(status)
     os._exit(code if code >= 0 else 128 - code)
 
@@ -69,6 +73,19 @@ def children_of(process: int) -> list[int]:
         for path in Path(f"/proc/{process}/task").glob("*/children"):
             children += map(int, path.read_text(encoding="ascii").split())
     return children
+
+
+def remove_abandoned(folder: str | os.PathLike[str]) -> None:
+    """Remove a folder whose lock nobody has: that of a process which was killed."""
+    with suppress(OSError):
+        place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        try:
+            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            import shutil  # takes longer than a worker's start
+
+            shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            os.close(place)
 
 
 def _watch(worker: int) -> None:

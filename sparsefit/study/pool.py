@@ -20,7 +20,7 @@ from typing import Any
 from sparsefit.errors import InputError, described, optional
 from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Experiment
-from sparsefit.study.worker import TICK, Crew, memory_limit
+from sparsefit.study.worker import TICK, Crew, memory_limit, scratch
 
 
 # Not pebble, whose limits are of whole tasks: cases that share a flight, a library and a path would
@@ -50,13 +50,16 @@ def outcomes(
     memory = memory_limit(experiment.definition.rules.max_memory, processes)
 
     def work() -> None:
-        with closing(Crew(experiment.desk, memory, stop)) as crew:
-            try:
+        try:
+            with (
+                scratch() as home,
+                closing(Crew(experiment.desk, home, memory=memory, stop=stop)) as crew,
+            ):
                 for together in experiment.run(taken(), crew):
                     arriving.put(together)
-                arriving.put(None)
-            except BaseException as error:
-                arriving.put(error)
+            arriving.put(None)
+        except BaseException as error:
+            arriving.put(error)
 
     slots = [Thread(target=work) for _ in range(processes)]
     try:

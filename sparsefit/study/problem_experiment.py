@@ -12,8 +12,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -145,10 +143,7 @@ class ProblemExperiment(Experiment):
                     yield Batch(unit, tuple(mine))
 
     def run(self, batches: Iterator[Batch], crew: Crew) -> Iterator[list[Outcome]]:
-        with (
-            TemporaryDirectory(prefix="sparsefit-", ignore_cleanup_errors=True) as home,
-            refusing(home),
-        ):
-            arena = Arena(self.design, Path(home), crew)
+        with refusing(crew.home):
+            arena = Arena(self.design, crew)
             for batch in batches:
                 yield arena.outcomes(batch.unit, self._data[batch.unit], batch.cells)

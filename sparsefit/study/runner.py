@@ -27,6 +27,7 @@ from sparsefit.study.pool import dask_client, outcomes, outcomes_on_dask
 from sparsefit.study.store import CASES, STORE, Row, Store, discard
 from sparsefit.whole_file import refusing
 
+PAGES = ("README.md", "report.html")  # that tell of rows
 Progress: TypeAlias = Callable[[int, int, float | None], None]
 
 
@@ -114,7 +115,7 @@ def run(
     with locked(folder), dask_client(scheduler) if scheduler else nullcontext() as client:
         if fresh:
             experiment.check()  # before rows are discarded
-            discard(folder, CASES, MANIFEST)
+            discard(folder, CASES, MANIFEST, *PAGES)
         store = Store.read(folder, plan)
         wanted = ~store.done
         if retry_failed:

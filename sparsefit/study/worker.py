@@ -13,6 +13,7 @@ processes that it has started. A desk is the object whose methods are requested.
 
 from __future__ import annotations
 
+import fcntl
 import gc
 import json
 import math
@@ -20,9 +21,11 @@ import os
 import pickle
 import resource
 import select
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -36,6 +39,7 @@ from zlib import crc32
 
 from sparsefit.errors import InputError, SparsefitError, described, one_line
 from sparsefit.study import guardian
+from sparsefit.whole_file import refusing
 
 # The cores are shared among processes: threads in each would only compete for them.
 ONE_THREAD = dict.fromkeys(
@@ -49,6 +53,7 @@ ONE_THREAD = dict.fromkeys(
 START_SECONDS = 180.0
 STARTS = 5  # in a row that may fail: at fewer, memory may be free again later
 TICK = 0.5  # seconds between looks at the clock, at most
+SCRATCH = "sparsefit-run-"
 GARBLED = "the message channel of the worker process was written into"
 
 
@@ -157,7 +162,8 @@ def memory_limit(requested: float | None, processes: int) -> float:
 class Worker:
     """The parent's side of a process with the desk ``make(*arguments)``.
 
-    memory: its limit [MB]; stop: an event, set when its answers are no longer needed.
+    memory: its limit [MB]; stop: an event, set when its answers are no longer needed; home: the
+    `scratch` folder of its temporary files.
 
     Raises:
         NoAnswerError: the process died, or making the desk raised.
@@ -170,14 +176,16 @@ class Worker:
         *,
         memory: float = math.inf,
         stop: Event | None = None,
+        home: Path | None = None,
     ) -> None:
+        files = {"TMPDIR": str(home)} if home else {}
         self._process = subprocess.Popen(
-            [sys.executable, "-P", guardian.__file__],
+            [sys.executable, "-P", guardian.__file__, *files.values()],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
             process_group=0,
-            env={**os.environ, **ONE_THREAD},
+            env={**os.environ, **ONE_THREAD, **files},
         )
         pipes: Any = (self._process.stdin, self._process.stdout)
         self._requests, self._answers = pipes
@@ -288,12 +296,21 @@ class Worker:
 
 
 class Crew:
-    """The workers of one slot; desk: returns the class of a desk and its arguments, by name."""
+    """The workers of one slot.
+
+    desk: returns the class of a desk and its arguments, by name; home: the folder of their files.
+    """
 
     def __init__(
-        self, desk: Callable[[str], tuple[type, tuple[Any, ...]]], memory: float, stop: Event
+        self,
+        desk: Callable[[str], tuple[type, tuple[Any, ...]]],
+        home: Path,
+        *,
+        memory: float,
+        stop: Event,
     ) -> None:
-        self._desk, self._memory, self._stop = desk, memory, stop
+        self._desk, self.home = desk, home
+        self._limits: dict[str, Any] = {"home": home, "memory": memory, "stop": stop}
         self._workers: dict[str, Worker] = {}
 
     def worker(self, desk: str) -> Worker:
@@ -304,7 +321,7 @@ class Crew:
                 return self._workers[desk]
             make, arguments = self._desk(desk)
             try:
-                self._workers[desk] = Worker(make, arguments, memory=self._memory, stop=self._stop)
+                self._workers[desk] = Worker(make, arguments, **self._limits)
             except (NoAnswerError, OSError) as failed:
                 reason = failed.reason if isinstance(failed, NoAnswerError) else described(failed)
         raise SparsefitError(
@@ -316,6 +333,28 @@ class Crew:
         """End the workers."""
         for worker in self._workers.values():
             worker.close()
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """A folder for the files of a run and of its workers, which is removed at the end.
+
+    It is locked until this process ends; where that is killed, `guardian` removes the folder. Those
+    of runs that were killed with their guardians are removed here.
+    """
+    with refusing("the folder of temporary files"):
+        for other in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
+            guardian.remove_abandoned(other)
+        new = Path(tempfile.mkdtemp(prefix="sparsefit-new-"))
+        place = os.open(new, os.O_RDONLY)
+        with suppress(OSError):  # of a file system without such locks
+            fcntl.flock(place, fcntl.LOCK_EX)
+        home = new.rename(new.with_name(new.name.replace("sparsefit-new-", SCRATCH)))
+    try:
+        yield home
+    finally:
+        shutil.rmtree(home, ignore_errors=True)
+        os.close(place)
 
 
 def cpu_seconds(pid: int) -> float:

@@ -326,6 +326,18 @@ def test_help_needs_no_numpy():
     assert subprocess.run([sys.executable, "-c", script]).returncode == 0
 
 
+def test_ctrl_c_while_verbs_are_imported_ends_in_a_line():
+    script = (
+        "import signal, sys, types; from sparsefit.__main__ import main; "
+        "signal.signal(signal.SIGINT, signal.default_int_handler); "
+        "cli = sys.modules['sparsefit.cli'] = types.ModuleType('cli'); "
+        "cli.__getattr__ = lambda name: exec('signal.raise_signal(signal.SIGINT)'); "
+        "sys.exit(main())"
+    )
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "\nstopped\n")
+
+
 def test_a_reader_that_leaves_early_is_no_error(flight):
     program = "import sys; from sparsefit.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", program, "estimate", flight, "--json"]

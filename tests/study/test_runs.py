@@ -202,7 +202,9 @@ def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
         for row in store.rows()[:2]:
             store.put_row(type(row)(row.key, "timeout", "slow", row.version, row.body))
     assert later.run(processes=1, retry_failed=True).computed == 2
+    (later.folder / "README.md").write_text("what the rows from before told")
     assert later.run(processes=1, fresh=True, only=[later.plan()["case_id"][3]]).done == 1
+    assert [path.name for path in later.folder.iterdir()] == [STORE]
 
 
 def test_a_damaged_row_is_computed_again(whole, copied):

@@ -4,12 +4,13 @@ import math
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
 from sparsefit.errors import InputError
-from sparsefit.study.worker import in_child
+from sparsefit.study.worker import in_child, scratch
 from tests.study import hostile
 from tests.study.attacks import until
 
@@ -52,6 +53,28 @@ def command_of(path):
         return (path / "cmdline").read_text().replace("\0", " ")
     except OSError:
         return ""
+
+
+@pytest.mark.parametrize("works", [False, True])
+def test_the_files_of_a_killed_run_go_with_it_or_at_the_next_start(tmp_path, monkeypatch, works):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    code = (
+        "import os, threading\nfrom sparsefit.study import worker\n"
+        "with worker.scratch() as home:\n"
+        "    desk = lambda name: (worker._Caller, ())\n"
+        "    crew = worker.Crew(desk, home, memory=1e3, stop=threading.Event())\n"
+        f"    _ = crew.worker('any') if {works} else None\n"
+        "    (home / 'rows').write_text('1')\n"
+        "    os.kill(os.getpid(), 9)"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=False)
+    if works:  # its guardian ends after it
+        until(lambda: not list(tmp_path.iterdir()), 10.0)
+    (tmp_path / "sparsefit-of-another").mkdir()
+    with scratch() as home, scratch() as other:
+        assert len({*tmp_path.iterdir(), home, other}) == 3
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="a subreaper is of Linux")
