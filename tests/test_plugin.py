@@ -51,7 +51,7 @@ def test_it_is_a_back_end_like_any_other(installed):
     assert sys.modules[type(backend).__module__].__file__.startswith(str(installed))
     problem = regular()
     found = sf.fit(problem, backend)
-    augmented = np.diag(0.5 * problem.statistics.rms * np.sqrt(problem.samples))
+    augmented = np.diag(0.5 * problem.design.rms * np.sqrt(problem.samples))
     rows = np.vstack([problem.theta, augmented])
     target = np.vstack([problem.target, np.zeros((problem.columns, 2))])
     assert found.status == "ok"

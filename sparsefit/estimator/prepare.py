@@ -141,7 +141,7 @@ def prepare(
     weights = flight_weights(parts, vehicles, library)
     problem = library.build(parts, vehicles, weights)
     if shared:
-        _ = problem.statistics.gram
+        _ = problem.design.gram
     seconds = perf_counter() - start
     return Prepared(tuple(flights), tuple(parts), weights, library, problem, seconds)
 

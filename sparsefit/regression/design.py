@@ -263,41 +263,6 @@ class Design:
         return gram
 
 
-@dataclass(frozen=True, eq=False)
-class Statistics:
-    """A design with the sums of its target: cross = Z'Y/m (k, n), target_square = |y_t|^2/m (n,).
-
-    The arrays are read-only, as back-ends and the certificate share them.
-    """
-
-    design: Design
-    cross: Array
-    target_square: Array
-
-    @classmethod
-    def on(cls, design: Design, target: Array) -> Statistics:
-        """The statistics of a design and its target (m, n)."""
-        sums = (design.correlate(target), np.einsum("ij,ij->j", target, target) / design.samples)
-        for array in sums:
-            array.setflags(write=False)
-        return cls(design, *sums)
-
-    @property
-    def rms(self) -> Array:
-        """The rms (k,) of the columns, in the units of theta."""
-        return self.design.rms
-
-    @property
-    def gram(self) -> Array:
-        """Z'Z/m (k, k). Raises InputError where it does not fit in memory."""
-        return self.design.gram
-
-    @property
-    def null_objective(self) -> float:
-        """The objective at zero weights, |Y|^2 / 2m."""
-        return 0.5 * float(self.target_square.sum())
-
-
 def _array(product: Any) -> Array:
     """A product of blocks as a dense array."""
     if hasattr(product, "compute"):

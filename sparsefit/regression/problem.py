@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, BoolArray, Brief, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
-from sparsefit.regression.design import Design, Statistics
+from sparsefit.regression.design import Design
 from sparsefit.regression.losses import SQUARES, Squares
 from sparsefit.regression.penalties import Penalty, alpha_max
 
@@ -237,7 +237,7 @@ class RegressionProblem(Brief):
 
     def alpha_max(self, penalty: Penalty) -> float:
         """The smallest alpha whose solution is zero: the dual norm of Z'u/m, u of R = Y."""
-        cross = self.statistics.cross
+        cross = self.cross
         if np.isfinite(penalty.loss.clip):
             cross = self.design.correlate(penalty.loss.pull(self.target, self.target))
         return alpha_max(cross, penalty)
@@ -275,9 +275,23 @@ class RegressionProblem(Brief):
         return int(self.target.shape[1])
 
     @cached_property
-    def statistics(self) -> Statistics:
-        """Z'Y/m and |y_t|^2/m, shared by all back-ends."""
-        return Statistics.on(self.design, self.target)
+    def cross(self) -> Array:
+        """Z'Y/m (k, n), read-only, as back-ends share it."""
+        cross = self.design.correlate(self.target)
+        cross.setflags(write=False)
+        return cross
+
+    @cached_property
+    def target_square(self) -> Array:
+        """|y_t|^2/m (n,), read-only."""
+        square: Array = np.einsum("ij,ij->j", self.target, self.target) / self.samples
+        square.setflags(write=False)
+        return square
+
+    @property
+    def null_objective(self) -> float:
+        """The objective at zero weights, |Y|^2/2m."""
+        return 0.5 * float(self.target_square.sum())
 
     @cached_property
     def spectrum(self) -> Spectrum:

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.regression.design import Design, Statistics
+from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
 from sparsefit.regression.penalties import AbsoluteValues, BoundedValues, Penalty, SquaredNorm
@@ -140,27 +140,28 @@ def exact_path(
     penalty: Penalty,
     alphas: Array,
     *,
-    statistics: Statistics | None = None,
+    cross: Array | None = None,
 ) -> Points:
     """Solutions V (p, k, n), of columns of unit rms, at descending penalties alphas (p,).
 
-    design Z (m, k), target Y (m, n); statistics: their sums, where the caller has them already.
+    design Z (m, k), target Y (m, n); cross: Z'Y/m (k, n), where the
+    caller has it already.
     """
-    statistics = statistics or Statistics.on(design, target)
+    cross = design.correlate(target) if cross is None else cross
     if isinstance(penalty.loss, RootSquares):
-        return _root_path(design, target, penalty, alphas, statistics)
+        return _root_path(design, target, penalty, alphas, cross)
     if np.isfinite(penalty.loss.clip):
-        return outlier_path(design, target, statistics.cross, penalty, alphas)
+        return outlier_path(design, target, cross, penalty, alphas)
     if isinstance(penalty, SquaredNorm):
-        return _ridge_path(design, target, penalty, alphas, statistics)
+        return _ridge_path(design, target, penalty, alphas, cross)
     if not (isinstance(penalty, BoundedValues) and penalty.is_bounded):
-        return _by_targets(design, target, penalty, alphas, statistics)
+        return _by_targets(design, target, penalty, alphas, cross)
     # Within its bounds the LASSO is the optimum, and its path the faster and better conditioned.
     free = AbsoluteValues(penalty.weights, ridge=penalty.ridge)
-    points = _by_targets(design, target, free, alphas, statistics)
+    points = _by_targets(design, target, free, alphas, cross)
     beyond = np.flatnonzero(np.isinf(penalty.norm(points.weights)))
     if len(beyond):
-        bounded = _by_targets(design, target, penalty, alphas[beyond], statistics)
+        bounded = _by_targets(design, target, penalty, alphas[beyond], cross)
         for name in ("weights", "complete", "steps"):
             getattr(points, name)[beyond] = getattr(bounded, name)
         points = replace(points, words=bounded.words)
@@ -168,7 +169,7 @@ def exact_path(
 
 
 def _by_targets(
-    design: Design, target: Array, penalty: Penalty, alphas: Array, statistics: Statistics
+    design: Design, target: Array, penalty: Penalty, alphas: Array, cross: Array
 ) -> Points:
     """The path with the loss of squares, target by target where nothing couples these."""
     targets = target.shape[1]
@@ -177,10 +178,7 @@ def _by_targets(
         # Norms of one number are absolute values.
         penalty = AbsoluteValues(penalty.weights[penalty.groups], ridge=penalty.ridge)
     parts = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(targets)]
-    solved = [
-        _along(design, target[:, part], statistics.cross[:, part], penalty, alphas, statistics)
-        for part in parts
-    ]
+    solved = [_along(design, target[:, part], penalty, alphas, cross[:, part]) for part in parts]
     return Points(
         np.concatenate([points.weights for points in solved], axis=2),
         np.all([points.complete for points in solved], axis=0),
@@ -189,14 +187,7 @@ def _by_targets(
     )
 
 
-def _along(
-    design: Design,
-    target: Array,
-    cross: Array,
-    penalty: Penalty,
-    alphas: Array,
-    statistics: Statistics,
-) -> Points:
+def _along(design: Design, target: Array, penalty: Penalty, alphas: Array, cross: Array) -> Points:
     """The path of targets (m, q) whose blocks span all of them; cross Z'Y/m (k, q)."""
     k, count = len(cross), len(alphas)
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples))
@@ -208,7 +199,7 @@ def _along(
     # Not on whether Z'Z was formed already: solutions depend on the data alone.
     few = FEW if count >= SEVERAL else START // 8
     if k <= few or penalty.restricted(np.arange(1)) is None:
-        return path_on_gram(statistics.gram, cross, penalty, alphas, level**2)
+        return path_on_gram(design.gram, cross, penalty, alphas, level**2)
     own = penalty.in_units(level)
     points = _with_working_set(design, target / level, cross / level, own, alphas / level)
     return replace(points, weights=points.weights * level)
@@ -341,12 +332,12 @@ def _leading(units: IntArray, order: IntArray, most: int) -> IntArray:
 
 
 def _ridge_path(
-    design: Design, target: Array, penalty: Penalty, alphas: Array, statistics: Statistics
+    design: Design, target: Array, penalty: Penalty, alphas: Array, cross: Array
 ) -> Points:
     """(G + mu I)^-1 Z'Y/m at each mu = alpha rho, by the smaller of Z'Z and Z Z'."""
-    (m, k), rows, cross = design.shape, None, statistics.cross
+    (m, k), rows = design.shape, None
     if k <= m:
-        square, right = statistics.gram, cross
+        square, right = design.gram, cross
     else:
         rows = design.columns(np.arange(k))
         square, right = rows @ rows.T / design.samples, target
@@ -372,7 +363,7 @@ ROUNDS = 60
 
 
 def _root_path(
-    design: Design, target: Array, penalty: Penalty, alphas: Array, statistics: Statistics
+    design: Design, target: Array, penalty: Penalty, alphas: Array, cross: Array
 ) -> Points:
     """The points by a safeguarded search for each root x = t^2 of x = (alpha/y)^2 rho^2(t).
 
@@ -382,7 +373,7 @@ def _root_path(
     """
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples)) or 1.0
     inner = replace(penalty, loss=SQUARES)
-    cross, slope = statistics.cross, (alphas / level) ** 2
+    slope = (alphas / level) ** 2
     if not cross.any():
         return Points.zeros(len(alphas), cross, "zero")
     largest = float(penalty.dual_norm(cross).max())
@@ -398,7 +389,7 @@ def _root_path(
             break
         wanted = np.sqrt(np.concatenate([x[at], x[at] * (1.0 - STEP) ** 2]))
         order = np.argsort(-wanted, kind="stable")
-        points = exact_path(design, target, inner, wanted[order], statistics=statistics)
+        points = exact_path(design, target, inner, wanted[order], cross=cross)
         back = np.argsort(order)
         here, there = np.split(points.weights[back], 2)
         steps[at] += points.steps.sum()

@@ -21,7 +21,6 @@ from sparsefit.arrays import Array
 from sparsefit.regression.backend import AlphaFraction, Checked, Solution, numeric_fraction, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.group_penalties import GroupNorms
-from sparsefit.regression.penalties import alpha_max
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.kernels import path_on_gram
 
@@ -55,7 +54,7 @@ class GroupMCP(Checked):
     ) -> tuple[Solution, ...]:
         """Fixed points at alpha_fractions, which descend, each from the group-LASSO's there."""
         penalty, solutions = self.penalty(problem), []
-        unit = alpha_max(problem.statistics.cross, penalty)
+        unit = problem.alpha_max(penalty)
         for alpha in (unit * np.array(alpha_fractions)).tolist():
             slopes, count, settled = penalty.weights, 0, False
             values = _weighted(problem, slopes, alpha)
@@ -80,7 +79,7 @@ class GroupMCP(Checked):
         """The weights (k, n) after one more local linear approximation at these."""
         penalty, rms = self.penalty(problem), problem.design.rms[:, None]
         fraction = numeric_fraction(self.name, self.alpha_fraction)
-        alpha = fraction * alpha_max(problem.statistics.cross, penalty)
+        alpha = fraction * problem.alpha_max(penalty)
         if not alpha:
             return np.zeros(weights.shape)
         return _weighted(problem, self._slopes(penalty, weights * rms, alpha), alpha) / rms
@@ -94,15 +93,14 @@ class GroupMCP(Checked):
 
 def _weighted(problem: RegressionProblem, slopes: Array, alpha: float) -> Array:
     """The group-LASSO (k, n) with weights (g,) that may be zero."""
-    statistics, groups = problem.statistics, problem.groups
-    gram, cross = statistics.gram, statistics.cross
+    gram, cross, groups = problem.design.gram, problem.cross, problem.groups
     free = slopes[groups] == 0.0
     loose, bound = np.flatnonzero(free), np.flatnonzero(~free)
     roots, vectors = np.linalg.eigh(gram[np.ix_(loose, loose)])
     on = roots > 1e-10 * roots.max(initial=0.0)  # others count as zero
     half = vectors[:, on] / np.sqrt(roots[on])  # H'GH = I on the range of the free groups' G
     shared, load = half.T @ gram[np.ix_(loose, bound)], half.T @ cross[loose]
-    square = float(statistics.target_square.sum() - np.sum(load**2))
+    square = float(problem.target_square.sum() - np.sum(load**2))
     values = np.zeros(cross.shape)
     if len(bound) and square > 0.0 and alpha > 0.0:
         rest = gram[np.ix_(bound, bound)] - shared.T @ shared, cross[bound] - shared.T @ load

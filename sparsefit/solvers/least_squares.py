@@ -115,7 +115,7 @@ class STLSQ(Checked):
 
     def _rule(self, problem: RegressionProblem) -> tuple[Array, Array, Array]:
         """In columns of unit rms: ridge (k,), threshold (k, n), and the unit (k,) of a column."""
-        rms, level = problem.design.rms, np.sqrt(problem.statistics.target_square)
+        rms, level = problem.design.rms, np.sqrt(problem.target_square)
         assert self.threshold is not None  # it was resolved when the settings were made
         if self.mode == "scaled":
             unit = np.ones(len(rms))
@@ -129,7 +129,7 @@ class STLSQ(Checked):
         """Ridge fits V (k, n) on a support (k, n) where they reach the threshold, and where."""
         from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # an estimator loads without it
 
-        values, data = np.zeros(support.shape), problem.statistics
+        values = np.zeros(support.shape)
         ridge, limit, unit = self._rule(problem)
         alike: dict[bytes, list[int]] = {}  # targets that share a support share a factor
         for t in range(problem.targets):
@@ -156,7 +156,7 @@ class STLSQ(Checked):
             block.flat[:: len(on) + 1] += ridge[on]
             factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
             if failed == 0 and (safe or dpocon(factor, size, uplo="L")[0] > floor):
-                solution = dpotrs(factor, data.cross[np.ix_(on, targets)], lower=1)[0]
+                solution = dpotrs(factor, problem.cross[np.ix_(on, targets)], lower=1)[0]
             else:  # a ridge that rounds away in Z'Z still counts beside Z: by the rows
                 lift = unit[on] * np.sqrt(ridge[on] * problem.samples)
                 columns = np.vstack([problem.design.columns(on) * unit[on], np.diag(lift)])
@@ -175,7 +175,7 @@ class STLSQ(Checked):
         """
         from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
 
-        design, data, (*_, unit) = problem.design, problem.statistics, self._rule(problem)
+        design, (*_, unit) = problem.design, self._rule(problem)
         if not self.unbias:
             return values / design.rms[:, None]
         weights = np.zeros(support.shape)
@@ -190,7 +190,7 @@ class STLSQ(Checked):
                 least = np.linalg.lstsq(columns * unit[on], target, rcond=1e-6)[0]
                 value = least * unit[on]
             else:
-                value = dpotrs(factor, data.cross[on, t], lower=1)[0]
+                value = dpotrs(factor, problem.cross[on, t], lower=1)[0]
                 for _ in range(2):  # corrected semi-normal equations: as accurate as QR here
                     gradient = columns.T @ (target - columns @ value) / problem.samples
                     value = value + dpotrs(factor, gradient, lower=1)[0]
@@ -201,11 +201,11 @@ class STLSQ(Checked):
 def _products(problem: RegressionProblem, on: IntArray) -> Array:
     """Z_J'Z_J/m of the columns of a support (j,), a copy."""
     if len(on) == problem.columns:
-        return problem.statistics.gram.copy()
+        return problem.design.gram.copy()
     if problem.columns > FEW:
         return problem.design.products(on)
     # Whole rows first, which is five times faster than rows and columns at once.
-    return problem.statistics.gram.take(on, 0).take(on, 1)
+    return problem.design.gram.take(on, 0).take(on, 1)
 
 
 @dataclass(frozen=True)

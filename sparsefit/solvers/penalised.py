@@ -87,8 +87,8 @@ class PenalisedPath(Checked, ABC):
             from sparsefit.solvers.registry import answers, solver
 
             return answers(solver(self.solver), problem, penalty, alpha_fractions)
-        alphas, data = problem.alpha_max(penalty) * np.array(alpha_fractions), problem.statistics
-        path = exact_path(problem.design, problem.target, penalty, alphas, statistics=data)
+        alphas = problem.alpha_max(penalty) * np.array(alpha_fractions)
+        path = exact_path(problem.design, problem.target, penalty, alphas, cross=problem.cross)
         weights = path.weights / problem.design.rms[:, None]
         # The certificate judges points where rounding prevents the solver's own stop.
         words = "the path is incomplete at this penalty"
@@ -130,7 +130,7 @@ class ElasticNet(PenalisedPath):
     positive: bool = False
 
     def penalty(self, problem: RegressionProblem) -> Penalty:
-        rms = float(np.sqrt(problem.statistics.target_square.mean())) or 1.0
+        rms = float(np.sqrt(problem.target_square.mean())) or 1.0
         weights = np.full(problem.columns, self.l1_ratio)
         plain = AbsoluteValues(weights, ridge=(1.0 - self.l1_ratio) / rms)
         return _signed(plain, self.positive)
@@ -332,8 +332,8 @@ def _pilot_factors(
 ) -> Array:
     """The factors omega (g,) of groups of columns; 1 where the ridge fit is zero."""
     ridge, penalty = np.array([settings.pilot_ridge]), SquaredNorm(problem.columns)
-    data = problem.statistics
-    pilot = exact_path(problem.design, problem.target, penalty, ridge, statistics=data).weights[0]
+    path = exact_path(problem.design, problem.target, penalty, ridge, cross=problem.cross)
+    pilot = path.weights[0]
     norms = np.sqrt(np.bincount(groups, np.square(pilot).sum(axis=1)))
     largest = float(norms.max())
     factors: Array = np.maximum(norms / (largest or 1.0), 1e-3) ** -settings.power

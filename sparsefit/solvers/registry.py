@@ -159,7 +159,7 @@ def answers(
     fractions, count = np.array(alpha_fractions, dtype=float), len(alpha_fractions)
     design, shape = problem.design, (problem.columns, problem.targets)
     alphas = problem.alpha_max(penalty) * fractions
-    if not problem.statistics.cross.any():
+    if not problem.cross.any():
         zero = Solution(np.zeros(shape), solver_status="target is zero", iterations=0)
         return (zero,) * count
 

@@ -31,10 +31,9 @@ def explained(problem: RegressionProblem, weights: Array | None = None) -> Array
     From Z'Z/m and Z'R/m, groups of one size in one batch; from the rows where Z'Z has lost a
     group's rank.
     """
-    statistics, residual = problem.statistics, problem.target
-    cross = statistics.cross
+    gram, cross, residual = problem.design.gram, problem.cross, problem.target
     if weights is not None:
-        cross = cross - statistics.gram @ (weights * statistics.rms[:, None])
+        cross = cross - gram @ (weights * problem.design.rms[:, None])
         residual = residual - problem.design.raw_predict(weights)
     order = np.argsort(problem.groups, kind="stable")
     sizes = np.bincount(problem.groups)
@@ -43,7 +42,7 @@ def explained(problem: RegressionProblem, weights: Array | None = None) -> Array
     for size in np.unique(sizes):
         chosen = np.flatnonzero(sizes == size)
         index = order[starts[chosen][:, None] + np.arange(size)]
-        roots, vectors = np.linalg.eigh(statistics.gram[index[:, :, None], index[:, None, :]])
+        roots, vectors = np.linalg.eigh(gram[index[:, :, None], index[:, None, :]])
         load = np.sum((vectors.transpose(0, 2, 1) @ cross[index]) ** 2, axis=2)
         sound = roots > 1e-9 * roots[:, -1:]
         gains[chosen] = np.sum(np.where(sound, load / np.where(sound, roots, 1.0), 0.0), axis=1)
@@ -108,7 +107,7 @@ class BestScale(SupportSearch):
     def step(self, problem: RegressionProblem, weights: Array) -> Array | None:
         gains = explained(problem)
         # Z'Z loses what nearly exact fits differ by: those in doubt are compared on the rows.
-        close = gains >= gains.max() - 1e-6 * problem.statistics.target_square.sum()
+        close = gains >= gains.max() - 1e-6 * problem.target_square.sum()
         fits = (fit_on(problem, group) for group in np.flatnonzero(close))
         best, _ = min(fits, key=lambda fit: fit[1])
         return None if np.array_equal(best != 0, weights != 0) else best
@@ -140,7 +139,7 @@ class GroupOMP(SupportSearch):
         larger, after = fit_on(problem, taken)
         if not len(used):
             return larger if larger.any() else None  # the target may be orthogonal to all columns
-        before, total = _square(problem, weights), float(problem.statistics.target_square.sum())
+        before, total = _square(problem, weights), float(problem.target_square.sum())
         if self.stop == "decrease":
             return larger if before - after > self.tolerance * total else None
         added = int(np.sum(larger != 0) - np.sum(weights != 0))

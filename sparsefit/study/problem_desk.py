@@ -308,7 +308,7 @@ class JudgeDesk:
             self._bounds[solved.problem_of] = np.array(lower or [-math.inf] * len(fractions))
         bounds = np.maximum([c.dual for c in gaps], self._bounds[solved.problem_of])
         excess = np.maximum(np.array([c.primal for c in gaps]) - bounds, 0.0).max()
-        null = problem.statistics.null_objective or 1.0
+        null = problem.null_objective or 1.0
         return {"kind": kind, "gap": max(c.value for c in gaps), "excess": float(excess) / null}
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.regression.certificate import DualPoint, duality_gaps, of_signs, rounding_of
-from sparsefit.regression.design import Design, Statistics
+from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.losses import RootSquares
 from sparsefit.regression.penalties import BoundedValues, SquaredNorm, alpha_max, lasso_penalty
@@ -22,10 +22,6 @@ from tests.problems import DEGENERATE_KINDS, degenerate, regular
 
 THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
 TARGET = np.array([[3.0], [1.0]])  # Z = theta, Z'Z/m = I, c = Z'y/m = (2, 1), |y|^2/2m = 2.5
-
-
-def statistics_of(theta, target):
-    return Statistics.on(Design(np.asarray(theta), len(theta)), np.asarray(target))
 
 
 def certified(theta, target, weights, alphas, penalty):
@@ -72,22 +68,24 @@ def lasso_by_enumeration(theta, target, rms, alpha):
 def test_gap_bounds_the_true_suboptimality_in_high_precision(seed):
     rng = np.random.default_rng(seed)
     theta, target = rng.normal(size=(7, 3)) * [1.0, 1e3, 1e-3], rng.normal(size=(7, 1))
-    s = statistics_of(theta, target)
+    problem = RegressionProblem.from_arrays(theta, target)
     fraction = float(rng.uniform(0.05, 0.9))
-    alpha = fraction * alpha_max(s.cross, lasso_penalty(3))
+    alpha = fraction * alpha_max(problem.cross, lasso_penalty(3))
     with mp.workdps(50):
-        optimum = lasso_by_enumeration(theta, target, s.rms, alpha)
+        optimum = lasso_by_enumeration(theta, target, problem.design.rms, alpha)
         for size in (1.0, 1e-2, 1e-5):
-            weights = (rng.normal(size=(3, 1)) * size) / s.rms[:, None]
+            weights = (rng.normal(size=(3, 1)) * size) / problem.design.rms[:, None]
             found = certify(theta, target, weights, alpha, lasso_penalty(3))
-            exact, _ = exactly(theta, target, s.rms, weights, alpha, lasso_penalty(3))
-            null = s.null_objective
+            exact, _ = exactly(theta, target, problem.design.rms, weights, alpha, lasso_penalty(3))
+            null = problem.null_objective
             assert abs(found.primal - float(exact)) <= 1e-14 * null
             assert found.dual <= float(optimum) + 1e-14 * null
             assert found.value * null >= float(exact - optimum) - 1e-14 * null
             assert found.value + found.rounding >= (exact - optimum) / null
-            assert found.rounding <= 1e-12 * (1 + np.abs(weights * s.rms[:, None]).sum()) ** 2
-    problem = RegressionProblem.from_arrays(theta, target)
+            assert (
+                found.rounding
+                <= 1e-12 * (1 + np.abs(weights * problem.design.rms[:, None]).sum()) ** 2
+            )
     weights = backends.get("lasso", alpha_fraction=fraction).solve(problem).weights
     tight = certify(theta, target, weights, alpha, lasso_penalty(3))
     assert tight.primal == pytest.approx(float(optimum), rel=1e-14)
@@ -136,16 +134,15 @@ def test_gap_does_not_depend_on_units(theta_unit, target_unit, seed, joint):
 @settings(max_examples=120)
 def test_gap_is_never_negative_and_dual_never_above_primal(seed, kind, size):
     problem = degenerate(kind, seed)
-    s = problem.statistics
     rng = np.random.default_rng(seed)
-    unit = np.sqrt(s.target_square) / s.rms[:, None]
+    unit = np.sqrt(problem.target_square) / problem.design.rms[:, None]
     weights = size * unit * rng.normal(size=(problem.columns, problem.targets))
     penalty = GroupNorms(problem.groups, np.ones(problem.groups.max() + 1), bool(seed % 2))
     found = certify(
-        problem.theta, problem.target, weights, 0.3 * alpha_max(s.cross, penalty), penalty
+        problem.theta, problem.target, weights, 0.3 * alpha_max(problem.cross, penalty), penalty
     )
     assert found.value >= 0
-    assert found.dual <= found.primal + 1e-12 * s.null_objective
+    assert found.dual <= found.primal + 1e-12 * problem.null_objective
 
 
 def test_zero_target_has_gap_zero():
@@ -202,7 +199,7 @@ def test_rounding_covers_what_double_precision_loses(seed, size, fitted, penalty
     blocks = lasso_penalty(6) if penalty == "lasso" else blocks
     found = certify(theta, target, weights, 0.05, blocks)
     with mp.workdps(60):
-        rms = statistics_of(theta, target).rms
+        rms = RegressionProblem.from_arrays(theta, target).design.rms
         primal, exact = exactly(theta, target, rms, weights, 0.05, blocks)
         assert fitted or size > 1.0 or found.primal == pytest.approx(float(primal), rel=1e-12)
         assert exact <= mp.mpf(found.value) + mp.mpf(found.rounding)
@@ -219,7 +216,7 @@ def test_the_error_of_sums_over_many_rows_is_within_the_bound():
     target, weights = theta[:, :1] * 3.0, np.array([[1.0], [1.0]])
     found = certify(theta, target, weights, 0.01, lasso_penalty(2))
     with mp.workdps(60):
-        rms = statistics_of(theta, target).rms
+        rms = RegressionProblem.from_arrays(theta, target).design.rms
         exact = exactly(theta, target, rms, weights, 0.01, lasso_penalty(2))[1]
         assert abs(exact - found.value) <= found.rounding
 
@@ -323,16 +320,16 @@ def test_a_residual_of_zero_may_be_all_that_its_rounding_can_hide():
 def test_the_gap_of_bounds_is_that_to_the_optimum_or_more(seed):
     rng = np.random.default_rng(seed)
     theta, target = rng.normal(size=(30, 5)), rng.normal(size=(30, 1))
-    statistics = statistics_of(theta, target)
+    problem = RegressionProblem.from_arrays(theta, target)
     upper = np.array([0.05, 0.1, np.inf, np.inf, 0.0])  # a box, a half-line and all numbers
     box = BoundedValues(rng.uniform(0.5, 2, 5), np.array([-0.1, 0, 0, -np.inf, -0.02]), upper)
-    path = exact_path(statistics.design, target, box, np.array([0.02]))
+    path = exact_path(problem.design, target, box, np.array([0.02]))
     optimum = path.weights[0]
-    least = certify(theta, target, optimum / statistics.rms[:, None], 0.02, box)
+    least = certify(theta, target, optimum / problem.design.rms[:, None], 0.02, box)
     for size in (1.0, 1e-2, 0.0):
         weights = box.prox(optimum + size * rng.normal(size=(5, 1)), 0.0)
-        found = certify(theta, target, weights / statistics.rms[:, None], 0.02, box)
-        assert found.bound * statistics.null_objective >= found.primal - least.primal - 1e-15
+        found = certify(theta, target, weights / problem.design.rms[:, None], 0.02, box)
+        assert found.bound * problem.null_objective >= found.primal - least.primal - 1e-15
     assert least.bound < 1e-9
 
 

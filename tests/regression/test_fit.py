@@ -161,7 +161,7 @@ def test_a_path_is_its_points_where_weights_are_not_unique(name):
         point = sf.fit(problem, backends.get(name, alpha_fraction=fraction))
         assert found.backend == point.backend
         assert found.status == point.status == "ok"
-        null = problem.statistics.null_objective
+        null = problem.null_objective
         assert found.certificate.primal == pytest.approx(point.certificate.primal, abs=1e-8 * null)
 
 

@@ -150,7 +150,7 @@ def divergence(problem, penalty, name, alpha, **more):
 
     def fitted(target):
         moved = dataclasses.replace(problem, target=target)
-        fraction = alpha / alpha_max(moved.statistics.cross, penalty)
+        fraction = alpha / alpha_max(moved.cross, penalty)
         weights = backends.get(name, alpha_fraction=fraction, **more).solve(moved).weights
         return problem.theta @ weights
 
@@ -179,11 +179,10 @@ def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
     problem = regular(5, samples=7, groups=3, size=2)
     backend = backends.get(name, alpha_fraction=fraction, **more)
     penalty = backend.penalty(problem)
-    alpha = fraction * alpha_max(problem.statistics.cross, penalty)
-    scaled = backend.solve(problem).weights * problem.statistics.rms[:, None]
-    statistics = problem.statistics
-    pull = statistics.cross - statistics.gram @ scaled
-    found = degrees_of_freedom(statistics.design, scaled, pull, alpha, penalty)
+    alpha = fraction * alpha_max(problem.cross, penalty)
+    scaled = backend.solve(problem).weights * problem.design.rms[:, None]
+    pull = problem.cross - problem.design.gram @ scaled
+    found = degrees_of_freedom(problem.design, scaled, pull, alpha, penalty)
     assert found == pytest.approx(divergence(problem, penalty, name, alpha, **more), abs=2e-3)
 
 
@@ -192,21 +191,19 @@ def test_degrees_of_freedom_of_runs_are_how_many_there_are():
     penalty = backend.penalty(problem)
     for fit in sf.path(problem, backend, 8).fits:
         values = fit.weights * problem.design.rms[:, None]
-        pull = problem.statistics.cross - problem.statistics.gram @ values
+        pull = problem.cross - problem.design.gram @ values
         found = degrees_of_freedom(problem.design, values, pull, fit.alpha, penalty)
         run = np.cumsum(np.abs(np.diff(values[:, 0], prepend=np.inf)) > 1e-7)
         assert found == pytest.approx(len(set(run[np.abs(values[:, 0]) > 1e-7])))
 
 
 def test_degrees_of_freedom_of_nothing_and_of_everything():
-    statistics, none = regular().statistics, np.zeros((12, 2))
+    design, none = regular().design, np.zeros((12, 2))
     joint = GroupNorms(np.repeat(np.arange(4), 3), np.ones(4))
-    assert degrees_of_freedom(statistics.design, none, none, 0.1, joint) == 0
+    assert degrees_of_freedom(design, none, none, 0.1, joint) == 0
     full = np.random.default_rng(0).normal(size=(12, 2))
-    assert degrees_of_freedom(statistics.design, full, none, 1e-12, joint) == pytest.approx(
-        24, abs=1e-6
-    )
-    assert degrees_of_freedom(statistics.design, full, none, 0.1, lasso_penalty(12)) == 24
+    assert degrees_of_freedom(design, full, none, 1e-12, joint) == pytest.approx(24, abs=1e-6)
+    assert degrees_of_freedom(design, full, none, 0.1, lasso_penalty(12)) == 24
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.5, 0.9])

@@ -1,6 +1,7 @@
 """Problems of any arrays, what people do with a fit and a path of them, and what is refused."""
 
 import dataclasses
+from operator import attrgetter
 
 import numpy as np
 import pandas as pd
@@ -90,17 +91,16 @@ def test_one_target_may_be_a_vector_and_columns_are_their_own_groups():
     assert problem.group_scales is None
 
 
-def test_statistics_are_the_direct_formulas():
+def test_sums_are_the_direct_formulas():
     problem = regular()
-    s = problem.statistics
     z = problem.theta / np.sqrt(np.mean(problem.theta**2, axis=0))
-    assert s.rms == pytest.approx(np.sqrt(np.mean(problem.theta**2, axis=0)))
-    assert s.gram == pytest.approx(z.T @ z / 60)
-    assert s.cross == pytest.approx(z.T @ problem.target / 60)
-    assert s.target_square == pytest.approx(np.mean(problem.target**2, axis=0))
-    assert s.null_objective == pytest.approx(s.target_square.sum() / 2)
-    assert problem.statistics is s  # formed once
-    for array in (s.rms, s.gram, s.cross, s.target_square):
+    assert problem.design.rms == pytest.approx(np.sqrt(np.mean(problem.theta**2, axis=0)))
+    assert problem.design.gram == pytest.approx(z.T @ z / 60)
+    assert problem.cross == pytest.approx(z.T @ problem.target / 60)
+    assert problem.target_square == pytest.approx(np.mean(problem.target**2, axis=0))
+    assert problem.null_objective == pytest.approx(problem.target_square.sum() / 2)
+    assert problem.cross is problem.cross  # formed once
+    for array in (problem.design.rms, problem.design.gram, problem.cross, problem.target_square):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0
 
@@ -112,9 +112,9 @@ def test_a_triangle_of_blocks_keeps_every_inner_product_and_the_fits(size):
     theta, target = compressed((whole.theta[r], whole.target[r]) for r in rows)
     folded = dataclasses.replace(whole, theta=theta, target=target, sample_count=60)
     assert (folded.samples, len(theta)) == (60, whole.columns + whole.targets)
-    for name in ("rms", "gram", "cross", "target_square"):
-        expected = getattr(whole.statistics, name)
-        assert getattr(folded.statistics, name) == pytest.approx(expected, rel=1e-12, abs=1e-13)
+    for name in ("design.rms", "design.gram", "cross", "target_square"):
+        expected = attrgetter(name)(whole)
+        assert attrgetter(name)(folded) == pytest.approx(expected, rel=1e-12, abs=1e-13)
     for name in ("least-squares", "stlsq", "lasso", "group-lasso"):
         expected, found = (sf.fit(p, backends.get(name)) for p in (whole, folded))
         assert found.weights == pytest.approx(expected.weights, rel=1e-8, abs=1e-10)

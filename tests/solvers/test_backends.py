@@ -196,7 +196,7 @@ def test_a_back_end_is_a_simpler_one_at_its_end(name, more, simpler, others, rea
 def test_exact_paths_agree_with_the_referee_on_degenerate_problems(name, more, seeds, kind):
     for seed in seeds:
         problem = degenerate(kind, seed)
-        null = problem.statistics.null_objective
+        null = problem.null_objective
         exact = sf.path(problem, backends.get(name, **more), [1.0, 0.3, 0.03, 1e-3])
         reference = backends.get(name, solver="clarabel", **more)
         assert sum(fit.repaired for fit in exact.fits) == 0
@@ -229,10 +229,10 @@ def test_every_fit_is_certified_and_the_prox_of_a_step_from_it(
     more = {} if name == "lasso" else {"separate": separate}
     more |= {"l1_ratio": ratio} if name == "sparse-group-lasso" else {}
     backend = backends.get(name, alpha_fraction=lowest**power, **more)
-    found, s = sf.fit(problem, backend), problem.statistics
+    found = sf.fit(problem, backend)
     assert (found.status, found.repaired) == ("ok", False)
-    values = found.weights * s.rms[:, None]
-    step = values + s.cross - s.gram @ values
+    values = found.weights * problem.design.rms[:, None]
+    step = values + problem.cross - problem.design.gram @ values
     moved = np.abs(backend.penalty(problem).prox(step, found.alpha) - values)
     on = (values != 0).reshape(4, 3, 2)
     used = np.repeat(on.any(axis=(1, 2)), 3)

@@ -232,24 +232,24 @@ def test_one_column_and_one_target(case):
 
 
 def objective(problem, backend, weights):
-    s, penalty = problem.statistics, backend.penalty(problem)
+    penalty = backend.penalty(problem)
     alpha = backend.alpha_fraction * problem.alpha_max(penalty)
     residual = problem.target - problem.theta @ weights
     loss = np.sum(residual**2) / (2 * problem.samples)
     if isinstance(penalty.loss, RootSquares):
-        loss = 2 * np.sqrt(loss * s.null_objective)
+        loss = 2 * np.sqrt(loss * problem.null_objective)
     elif np.isfinite(penalty.loss.clip):
         bound = penalty.loss.clip * 1.4826 * np.median(np.abs(problem.target), axis=0)
         cut = np.clip(residual, -bound, bound)
         loss = np.sum(cut * (residual - cut / 2)) / problem.samples
-    return loss + alpha * penalty.value(weights * s.rms[:, None])
+    return loss + alpha * penalty.value(weights * problem.design.rms[:, None])
 
 
 @convex
 def test_random_perturbations_never_lower_the_objective(case):
     backend, rng = backends.get(case[0], **case[1]), np.random.default_rng(5)
     found = answered(backend)
-    least, null = objective(PROBLEM, backend, found.weights), PROBLEM.statistics.null_objective
+    least, null = objective(PROBLEM, backend, found.weights), PROBLEM.null_objective
     assert least == pytest.approx(found.certificate.primal, rel=1e-12)
     for size in np.geomspace(1e-6, 1.0, 60):
         step = size * rng.normal(size=found.weights.shape)
@@ -262,7 +262,7 @@ def test_random_perturbations_never_lower_the_objective(case):
 def test_at_alpha_max_all_is_zero_and_just_below_it_is_not(case):
     backend = backends.get(case[0], **{**case[1], "alpha_fraction": 1.0})
     top = sf.fit(PROBLEM, backend, tolerance=1e-6)
-    peak = np.abs(PROBLEM.statistics.cross / PROBLEM.statistics.rms[:, None]).max()
+    peak = np.abs(PROBLEM.cross / PROBLEM.design.rms[:, None]).max()
     assert top.status == "ok"
     if case[0] != "sparse-group-lasso":  # where only the gap of an inner point is that small
         assert top.weights == pytest.approx(np.zeros((12, 2)), abs=1e-5 * peak)
@@ -289,26 +289,27 @@ def test_a_path_is_its_points(case):
 def test_orthonormal_columns_give_the_prox_of_their_correlations(case, seed):
     problem = orthonormal(seed)
     backend = backends.get(case[0], **{**case[1], "alpha_fraction": 0.3})
-    s, penalty = problem.statistics, backend.penalty(problem)
+    penalty = backend.penalty(problem)
     alpha = 0.3 * problem.alpha_max(penalty)
-    expected = penalty.prox(s.cross, alpha) / (1.0 + alpha * penalty.ridge)
-    assert 0.0 < np.linalg.norm(expected) < np.linalg.norm(s.cross)
-    assert solved(problem, backend).weights * s.rms[:, None] == close(backend, expected)
+    expected = penalty.prox(problem.cross, alpha) / (1.0 + alpha * penalty.ridge)
+    assert 0.0 < np.linalg.norm(expected) < np.linalg.norm(problem.cross)
+    assert solved(problem, backend).weights * problem.design.rms[:, None] == close(
+        backend, expected
+    )
 
 
 def test_orthonormal_columns_give_hard_thresholding_and_projections():
     problem = orthonormal()
-    s = problem.statistics
-    exact = solved(problem, backends.get("least-squares")).weights * s.rms[:, None]
-    assert exact == pytest.approx(s.cross, rel=1e-12)
+    exact = solved(problem, backends.get("least-squares")).weights * problem.design.rms[:, None]
+    assert exact == pytest.approx(problem.cross, rel=1e-12)
     backend = backends.get("stlsq", threshold=0.4, ridge=0.25, unbias=False)
-    kept = np.abs(s.cross / 1.25) >= 0.4 * np.sqrt(s.target_square)
+    kept = np.abs(problem.cross / 1.25) >= 0.4 * np.sqrt(problem.target_square)
     assert 0 < kept.sum() < kept.size
-    found = solved(problem, backend).weights * s.rms[:, None]
-    assert found == pytest.approx(np.where(kept, s.cross / 1.25, 0.0), rel=1e-12)
+    found = solved(problem, backend).weights * problem.design.rms[:, None]
+    assert found == pytest.approx(np.where(kept, problem.cross / 1.25, 0.0), rel=1e-12)
     unbiased = dataclasses.replace(backend, unbias=True)
-    found = solved(problem, unbiased).weights * s.rms[:, None]
-    assert found == pytest.approx(np.where(kept, s.cross, 0.0), rel=1e-10, abs=1e-13)
+    found = solved(problem, unbiased).weights * problem.design.rms[:, None]
+    assert found == pytest.approx(np.where(kept, problem.cross, 0.0), rel=1e-10, abs=1e-13)
 
 
 @every

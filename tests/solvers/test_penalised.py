@@ -26,7 +26,7 @@ from tests.problems import DEGENERATE_KINDS, degenerate, flight_problem, orthono
 def test_the_weights_are_worked_by_hand_on_orthonormal_columns():
     # The first fit is C / (1 + ridge): its ratios are those of C, whatever the ridge.
     problem = orthonormal(2)
-    cross = problem.statistics.cross
+    cross = problem.cross
     rows = np.linalg.norm(cross, axis=1)
     penalty = backends.get("adaptive-lasso", power=2.0).penalty(problem)
     assert penalty.weights == pytest.approx((rows / rows.max()) ** -2.0, rel=1e-9)
@@ -34,8 +34,10 @@ def test_the_weights_are_worked_by_hand_on_orthonormal_columns():
     backend = backends.get("adaptive-group-lasso", group_weights="sqrt-size", pilot_ridge=1.0)
     expected = np.sqrt(3) * blocks.max() / blocks
     assert backend.penalty(problem).weights == pytest.approx(expected, rel=1e-9)
-    problem, s = regular(3), regular(3).statistics  # of correlated columns, by a ridge of 0.05
-    sizes = np.linalg.norm(np.linalg.solve(s.gram + 0.05 * np.eye(12), s.cross), axis=1)
+    problem = regular(3)  # of correlated columns, by a ridge of 0.05
+    sizes = np.linalg.norm(
+        np.linalg.solve(problem.design.gram + 0.05 * np.eye(12), problem.cross), axis=1
+    )
     omega = np.maximum(sizes / sizes.max(), 1e-3) ** -1.0
     assert backends.get("adaptive-lasso").penalty(problem).weights == pytest.approx(omega, rel=1e-9)
 
@@ -73,7 +75,7 @@ def test_a_point_on_the_groups_that_pull_is_the_point_on_all(separate, fraction,
     few = sf.fit(alone, backend)
     assert few.status == "ok"
     assert "gram" not in vars(alone.design)
-    assert whole.statistics.gram.shape == (120, 120)
+    assert whole.design.gram.shape == (120, 120)
     every = sf.fit(whole, backend)
     np.testing.assert_allclose(few.weights, every.weights, rtol=1e-9, atol=1e-12)
     assert few.certificate.value < 1e-10
@@ -97,7 +99,7 @@ def test_a_naive_model_of_the_rows_agrees(separate, ratio, subgroups):
     backend = backends.get(
         "sparse-group-lasso", l1_ratio=ratio, separate=separate, group_weights="sqrt-size"
     )
-    alpha = 0.15 * alpha_max(problem.statistics.cross, backend.penalty(problem))
+    alpha = 0.15 * alpha_max(problem.cross, backend.penalty(problem))
     v, size = cvxpy.Variable((12, 2)), 0.0
     for part in ([0], [1]) if separate else ([0, 1],):
         for g in range(4):
@@ -141,16 +143,20 @@ def test_a_ridge_that_rounds_away_is_least_squares():
 def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, ratio, size):
     """k more rows sqrt(m mu) I with targets of zero, whatever the weights."""
     problem, rng = regular(seed), np.random.default_rng(seed)
-    s, backend = problem.statistics, backends.get("elastic-net", l1_ratio=ratio)
+    backend = backends.get("elastic-net", l1_ratio=ratio)
     penalty, m, k = backend.penalty(problem), problem.samples, problem.columns
-    alpha = 0.1 * alpha_max(s.cross, penalty)
-    assert penalty.ridge == pytest.approx((1.0 - ratio) / np.sqrt(s.target_square.mean()))
+    alpha = 0.1 * alpha_max(problem.cross, penalty)
+    assert penalty.ridge == pytest.approx((1.0 - ratio) / np.sqrt(problem.target_square.mean()))
     exact = sf.fit(problem, backend)
-    weights = exact.weights + size * rng.normal(size=exact.weights.shape) / s.rms[:, None]
-    lift = np.diag(np.sqrt(m * alpha * penalty.ridge) * s.rms)
+    weights = (
+        exact.weights + size * rng.normal(size=exact.weights.shape) / problem.design.rms[:, None]
+    )
+    lift = np.diag(np.sqrt(m * alpha * penalty.ridge) * problem.design.rms)
     design = Design(np.vstack([problem.theta, lift]), m)
     target = np.vstack([problem.target, np.zeros((k, 2))])
-    norms = AbsoluteValues(s.rms / design.rms)  # in columns of the unit that these rows have
+    norms = AbsoluteValues(
+        problem.design.rms / design.rms
+    )  # in columns of the unit that these rows have
     (expected,) = duality_gaps(design, target, weights[None], np.array([alpha * ratio]), norms)
     values, alphas = weights[None], np.array([alpha])
     (found,) = duality_gaps(problem.design, problem.target, values, alphas, penalty)
@@ -282,20 +288,21 @@ def fitted(problem, fraction=0.1, **more):
 def test_orthonormal_columns_by_hand():
     """Soft thresholds at t = a rho/y, with rho^2 = y^2 - |C|^2 + sum min(|C|, t)^2."""
     problem = orthonormal()
-    s = problem.statistics
-    size, square = np.abs(s.cross), s.target_square.sum()
+    size, square = np.abs(problem.cross), problem.target_square.sum()
     alpha = 0.4 * size.max()
     low, high = 0.0, size.max()
     for _ in range(200):
         middle = (low + high) / 2
         rho = np.sqrt(square - np.sum(size**2) + np.sum(np.minimum(size, middle) ** 2))
         low, high = (middle, high) if middle < alpha * rho / np.sqrt(square) else (low, middle)
-    expected = np.sign(s.cross) * np.maximum(size - low, 0.0)
+    expected = np.sign(problem.cross) * np.maximum(size - low, 0.0)
     assert 0 < np.count_nonzero(expected) < expected.size
-    assert fitted(problem, 0.4).weights * s.rms[:, None] == pytest.approx(expected, abs=1e-9)
+    assert fitted(problem, 0.4).weights * problem.design.rms[:, None] == pytest.approx(
+        expected, abs=1e-9
+    )
     cones = fitted(problem, 0.4, solver="clarabel")
     assert (cones.certificate.value < 1e-4, cones.repaired) == (True, False)
-    assert cones.weights * s.rms[:, None] == pytest.approx(expected, abs=1e-4)
+    assert cones.weights * problem.design.rms[:, None] == pytest.approx(expected, abs=1e-4)
 
 
 @pytest.mark.parametrize("unit", [1e-120, 1e120])
@@ -325,7 +332,7 @@ def test_degenerate_problems_have_certificates_that_are_proven_bounds(kind):
     assert all(fit.certificate.bound <= 1e-8 for fit in along.fits)
     for fit in along.fits:
         residual = problem.target - problem.theta @ fit.weights
-        size = np.abs(fit.weights * problem.statistics.rms[:, None]).sum()
+        size = np.abs(fit.weights * problem.design.rms[:, None]).sum()
         loss = np.linalg.norm(problem.target) * np.linalg.norm(residual) / problem.samples
         assert fit.certificate.primal == pytest.approx(loss + fit.alpha * size, rel=1e-9)
 
@@ -333,13 +340,13 @@ def test_degenerate_problems_have_certificates_that_are_proven_bounds(kind):
 def test_the_gap_sees_what_is_not_optimal():
     problem = regular(5)
     found = fitted(problem)
-    s, penalty = problem.statistics, found.backend.penalty(problem)
-    alpha = 0.1 * alpha_max(s.cross, penalty)
+    penalty = found.backend.penalty(problem)
+    alpha = 0.1 * alpha_max(problem.cross, penalty)
     least = found.certificate.primal
     for factor in (0.0, 0.9, 1.01):
         weights, alphas = factor * found.weights[None], np.array([alpha])
         (moved,) = duality_gaps(problem.design, problem.target, weights, alphas, penalty)
-        assert moved.value >= (moved.primal - least) / s.target_square.sum() - 1e-12
+        assert moved.value >= (moved.primal - least) / problem.target_square.sum() - 1e-12
         assert moved.value > 1e-5
 
 
@@ -371,12 +378,12 @@ def test_every_answer_is_stationary(seed, fraction, gamma):
     """C_g = (alpha omega_g - |V_g|/gamma)_+ V_g/|V_g|, and |C_g| <= alpha omega_g at zero."""
     problem = regular(seed)
     backend = backends.get("group-mcp", alpha_fraction=fraction, gamma=gamma)
-    found, s = sf.fit(problem, backend), problem.statistics
+    found = sf.fit(problem, backend)
     assert found.status == "ok"
     assert found.certificate.value < 1e-9
-    values = found.weights * s.rms[:, None]
-    alpha = fraction * alpha_max(s.cross, backend.penalty(problem))
-    slope = s.cross - s.gram @ values
+    values = found.weights * problem.design.rms[:, None]
+    alpha = fraction * alpha_max(problem.cross, backend.penalty(problem))
+    slope = problem.cross - problem.design.gram @ values
     for g in range(4):
         on = problem.groups == g
         norm = np.linalg.norm(values[on])

@@ -20,9 +20,8 @@ class Damped:
 
     def solve(self, problem):
         """Weights (k, n), from the normal equations in columns of unit rms."""
-        statistics = problem.statistics
-        gram = statistics.gram + self.amount * np.eye(problem.columns)
-        return Solution(np.linalg.solve(gram, statistics.cross) / statistics.rms[:, None])
+        gram = problem.design.gram + self.amount * np.eye(problem.columns)
+        return Solution(np.linalg.solve(gram, problem.cross) / problem.design.rms[:, None])
 
     def next_weights(self, problem, weights):
         return Damped.solve(self, problem).weights
