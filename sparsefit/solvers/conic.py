@@ -15,7 +15,7 @@ Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. 
 
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -23,11 +23,10 @@ import numpy as np
 from scipy import sparse
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.errors import InputError
 from sparsefit.regression.backend import Tolerance
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
-from sparsefit.regression.losses import SQUARES, RootSquares
+from sparsefit.regression.losses import SQUARES, RootSquares, Squares
 from sparsefit.regression.penalties import (
     AbsoluteValues,
     BoundedValues,
@@ -57,11 +56,8 @@ class Clarabel:
     ) -> Array:
         """Weights (p, k, n); tolerance: of gap and feasibility, 1e-10 where none is asked for.
 
-        A point that fails is NaN; a status other than solved is issued as a warning. Raises
-        InputError on a penalty without a conic form.
+        A point that fails is NaN; a status other than solved is issued as a warning.
         """
-        if reason := self.takes(penalty):
-            raise InputError(reason)
         weights = np.zeros((len(alphas), penalty.columns, target.shape[1]))
         whole = isinstance(penalty, SquaredNorm) or penalty.restricted(np.arange(1)) is None
         in_play = np.full(penalty.columns, whole)
@@ -106,9 +102,8 @@ def _solved(
             others, word = _cone_program(square, 0.0 * linear, *rows, penalty, stop)
             values, status = (others, word) if "Solved" in word else (values, status)
         return values * alpha, status
-    asked = (columns, target, penalty, [alpha], stop, design.samples)
-    ((values, status),) = BEHIND_CVXPY["clarabel"].points(*asked)
-    return values, "Solved" if status == "optimal" else status
+    part, alphas = Design(columns, design.samples), np.array([alpha])
+    return BEHIND_CVXPY["clarabel"].path(part, target, penalty, alphas, stop)[0], "Solved"
 
 
 def _no_conic_form(penalty: Penalty) -> str:
@@ -186,11 +181,11 @@ def _cone_program(
 
 @dataclass(frozen=True)
 class Cvxpy:
-    """A solver behind cvxpy, on 1/2 v'Gv - <C, V>, G = Z'Z/m, compiled once for a path.
+    """A solver behind cvxpy, compiled once for a path; V and the target are divided by alpha_1.
 
     name: its name in cvxpy, in lower case; package: the module it needs; tolerances: the names of
-    its tolerances; more: further settings; extra: the name for pip, if not the package; by_rows:
-    whether to use the rows of a QR of [Z, Y] in place of Z'Z, slower and with twice the digits.
+    its tolerances; more: further settings; extra: the name for pip, if not the package; cones:
+    whether it takes cones, and not quadratic programs alone.
     """
 
     name: str
@@ -198,76 +193,42 @@ class Cvxpy:
     tolerances: tuple[str, ...] = ()
     more: Mapping[str, Any] = field(default_factory=dict)
     extra: str = ""
-    by_rows: bool = False
+    cones: bool = True
 
     def takes(self, penalty: Penalty) -> str:
-        """Every penalty with a conic form; solvers of quadratic programs take no group norms."""
+        """The reason for refusing a penalty: it has no conic form, or cones."""
         groups = isinstance(penalty, GroupNorms | NestedNorms)
-        quadratic = self.name in ("osqp", "highs", "piqp", "daqp", "proxqp")
-        if quadratic and (groups or penalty.loss != SQUARES):
+        if not self.cones and (groups or penalty.loss != SQUARES):
             return f"{self.name} solves quadratic programs, and group norms are cones"
         return _no_conic_form(penalty)
 
     def path(
         self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array:
-        """Weights (p, k, n); tolerance: the solver's own, 1e-9 where none is asked for."""
-        columns, weights = design.columns(np.arange(penalty.columns)), []
-        asked = (alphas.tolist(), tolerance or 1e-9, design.samples)
-        for values, status in self.points(columns, target, penalty, *asked):
-            if status != "optimal":
-                warnings.warn(f"{self.name}: {status}", RuntimeWarning, stacklevel=2)
-            weights.append(values)
-        return np.stack(weights)
+        """Weights (p, k, n); tolerance: the solver's own, 1e-9 where none is asked for.
 
-    def points(
-        self,
-        matrix: Array,
-        target: Array,
-        penalty: Penalty,
-        alphas: list[float],
-        tolerance: float,
-        samples: int,
-    ) -> Iterator[tuple[Array, str]]:
-        """V (k, n) of the columns (m, k) at each alpha, NaN where there is none, and the status.
-
-        V and the target are divided by the first alpha. Half the mean square is 1/2 v'Gv - <C, V>,
-        or has the rows of a QR of [Z, Y], as its root has; Huber's loss has all rows.
+        A point that fails is NaN; a status other than optimal is issued as a warning.
         """
         import cvxpy
 
-        loss, unit = penalty.loss, alphas[0]
-        variable = cvxpy.Variable((matrix.shape[1], target.shape[1]))
-        scaled, fraction = target / unit, cvxpy.Parameter(nonneg=True, value=1.0)
-        level = np.sqrt(np.square(scaled).sum(axis=0) / samples)
-        if loss == SQUARES and not self.by_rows:
-            gram = matrix.T @ matrix / samples
-            root, cross = cvxpy.psd_wrap((gram + gram.T) / 2), matrix.T @ scaled / samples
-            objective = -cvxpy.sum(cvxpy.multiply(cross, variable))
-            for t in range(target.shape[1]):
-                objective = objective + 0.5 * cvxpy.quad_form(variable[:, t], root)
-        elif np.isinf(loss.clip):
-            matrix, scaled = triangular(matrix, scaled)
-            residual = matrix @ variable - scaled
-            objective = cvxpy.sum_squares(residual) / (2 * samples)
-            if isinstance(loss, RootSquares):
-                size = cvxpy.norm(residual, "fro") / math.sqrt(samples)
-                objective = math.sqrt(float(np.sum(level**2))) * size
-        else:
-            residual = matrix @ variable - scaled
-            if loss.direction is not None:  # an intercept, which costs nothing
-                residual = residual + loss.direction[:, None] @ cvxpy.Variable((1, target.shape[1]))
-            knots = np.broadcast_to(loss.bound(scaled), scaled.shape)
-            unit_free = cvxpy.huber(cvxpy.multiply(1.0 / knots, residual), 1.0)
-            objective = cvxpy.sum(cvxpy.multiply(knots**2 / (2 * samples), unit_free))
+        unit, weights = (
+            float(alphas[0]),
+            np.full((len(alphas), penalty.columns, target.shape[1]), np.nan),
+        )
+        variable, fraction = (
+            cvxpy.Variable(weights.shape[1:]),
+            cvxpy.Parameter(nonneg=True, value=1.0),
+        )
+        matrix = design.columns(np.arange(penalty.columns))
+        objective = _loss(penalty.loss, matrix, target / unit, variable, design.samples)
         if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit
             penalty = penalty.in_units(unit)
         norm, constraints = penalty.conic(variable, cvxpy)
         if penalty.ridge:
             norm = norm + 0.5 * penalty.ridge * cvxpy.sum_squares(variable)
         program = cvxpy.Problem(cvxpy.Minimize(objective + fraction * norm), constraints)
-        settings = {**self.more, **dict.fromkeys(self.tolerances, tolerance)}
-        for alpha in alphas:
+        settings = {**self.more, **dict.fromkeys(self.tolerances, tolerance or 1e-9)}
+        for values, alpha in zip(weights, alphas.tolist(), strict=True):
             fraction.value = alpha / unit
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # "may be inaccurate": the status says so
@@ -276,26 +237,45 @@ class Cvxpy:
                     status = str(program.status)
                 except (cvxpy.error.SolverError, ValueError, ArithmeticError) as error:
                     status = str(error)
-            values = np.full(variable.shape, np.nan)
-            usable = status in ("optimal", "optimal_inaccurate", "user_limit")
-            if variable.value is not None and usable:
-                values = unit * np.asarray(variable.value)
+            if status in ("optimal", "optimal_inaccurate", "user_limit"):
+                values[:] = variable.value
             if isinstance(penalty, BoundedValues):  # an interior point is that far out at most
-                values = unit * penalty.prox(values / unit, 0.0)
-            yield values, status
+                values[:] = penalty.prox(values, 0.0)
+            if status != "optimal":
+                warnings.warn(f"{self.name}: {status}", RuntimeWarning, stacklevel=2)
+        return unit * weights
+
+
+def _loss(loss: Squares, matrix: Array, target: Array, variable: Any, samples: int) -> Any:
+    """The loss of Y - Z V, V a variable of cvxpy: of squares or their root by a QR of [Z, Y]."""
+    import cvxpy
+
+    if np.isinf(loss.clip):
+        level = np.linalg.norm(target) / math.sqrt(samples)
+        matrix, target = triangular(matrix, target)
+        residual = matrix @ variable - target
+        if isinstance(loss, RootSquares):
+            return level / math.sqrt(samples) * cvxpy.norm(residual, "fro")
+        return cvxpy.sum_squares(residual) / (2 * samples)
+    residual = matrix @ variable - target
+    if loss.direction is not None:  # an intercept, which costs nothing
+        residual = residual + loss.direction[:, None] @ cvxpy.Variable((1, target.shape[1]))
+    knots = np.broadcast_to(loss.bound(target), target.shape)
+    unit_free = cvxpy.huber(cvxpy.multiply(1.0 / knots, residual), 1.0)
+    return cvxpy.sum(cvxpy.multiply(knots**2 / (2 * samples), unit_free))
 
 
 EPS, EXTRA = ("eps_abs", "eps_rel"), "'sparsefit[peers]'"
 CLARABEL = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
 _LISTED = (
-    Cvxpy("clarabel", "clarabel", CLARABEL, {"max_threads": 1}, by_rows=True),
-    Cvxpy("osqp", "osqp", EPS, {"max_iter": 50_000, "polishing": True}),
+    Cvxpy("clarabel", "clarabel", CLARABEL, {"max_threads": 1}),
+    Cvxpy("osqp", "osqp", EPS, {"max_iter": 50_000, "polishing": True}, cones=False),
     Cvxpy("scs", "scs", EPS, {"max_iters": 50_000}),
-    Cvxpy("piqp", "piqp", EPS, extra=EXTRA),
-    Cvxpy("daqp", "daqp", extra=EXTRA),
-    Cvxpy("proxqp", "proxsuite", EPS),
+    Cvxpy("piqp", "piqp", EPS, extra=EXTRA, cones=False),
+    Cvxpy("daqp", "daqp", extra=EXTRA, cones=False),
+    Cvxpy("proxqp", "proxsuite", EPS, cones=False),
     Cvxpy("ecos", "ecos", ("abstol", "reltol", "feastol")),
-    Cvxpy("highs", "highspy"),
+    Cvxpy("highs", "highspy", cones=False),
     Cvxpy("gurobi", "gurobipy"),
     *(Cvxpy(name, name) for name in ("qoco", "cvxopt", "mosek")),
 )

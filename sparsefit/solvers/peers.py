@@ -23,7 +23,7 @@ from scipy import sparse
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, integer
+from sparsefit.errors import integer
 from sparsefit.regression.backend import Tolerance
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
@@ -363,9 +363,7 @@ class Peer:
     def path(
         self, design: Design, target: Array, penalty: Penalty, alphas: Array, tolerance: Tolerance
     ) -> Array:
-        """Weights (p, k, n) of columns of unit rms; see `registry`. Raises InputError."""
-        if reason := self.takes(penalty):
-            raise InputError(reason)
+        """Weights (p, k, n) of columns of unit rms; see `registry`."""
         call = partial(self.solved, stop=tolerance or 1e-8, iterations=self.iterations)
         return solved_in_parts(call, design, target, penalty, alphas, dense=not self.reads_sparse)
 

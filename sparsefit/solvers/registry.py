@@ -164,6 +164,8 @@ def answers(
         return (zero,) * count
 
     def solved() -> tuple[Array, Any]:
+        if hasattr(solver, "takes") and (reason := solver.takes(penalty)):
+            raise InputError(reason)
         asked, clock = (design, problem.target, penalty, alphas, tolerance), None
         if isinstance(solver, Command):
             raw, clock = solver.timed(*asked)
@@ -253,8 +255,6 @@ class Command:
 
         Raises SparsefitError where it fails, `LateError` where it exceeds a limit.
         """
-        if reason := self.takes(penalty):
-            raise InputError(reason)
         spent, remaining = [0.0, 0.0], {"solve": self.recipe.limit}
 
         def solved(task: Task, targets: slice) -> Array:

@@ -377,8 +377,10 @@ def test_a_tall_problem_is_handed_over_as_the_triangle_of_a_qr():
 
 def test_what_a_solver_does_not_take_is_refused_in_a_line():
     theta, target = posed()
-    with pytest.raises(InputError, match="scikit-learn-lars solves LASSO only"):
-        path_of("scikit-learn-lars", Design(theta, 60), target, PENALTIES["joint"])
+    posed_problem = RegressionProblem.from_arrays(theta, target, GROUPS)
+    (found,) = answers(solver("scikit-learn-lars"), posed_problem, PENALTIES["joint"], (1.0,))
+    assert (found.status, found.weights) == ("error", None)
+    assert "scikit-learn-lars solves LASSO only" in found.reason
     assert "cones" in solver("osqp").takes(PENALTIES["joint"])
     assert "no method `conic`" in solver("clarabel").takes(_Unstated(np.ones(K)))
 
