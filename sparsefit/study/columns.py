@@ -159,7 +159,7 @@ FLIGHT_COLUMNS = _columns(
     (TEXT, "log"),
     (SINGLE, "est_length_scale_x", "estimate.length_scales.0"),
     (SINGLE, "est_length_scale_y", "estimate.length_scales.1"),
-    (TEXT, "identity version"),
+    (TEXT, "version"),
 )
 PROBLEM_COLUMNS = _columns(
     (TEXT, "case_id study problem series"),
@@ -176,7 +176,7 @@ PROBLEM_COLUMNS = _columns(
     (REAL, "first memory load"),  # [s] of imports; [MB] above what it had; when the case began
     (FLAG, "disturbed"),  # whether the wall clock ran well ahead of the CPU's
     (WHOLE, "flight"),  # the problem's number
-    (TEXT, "identity version"),
+    (TEXT, "version"),
     (REAL, "wall_low wall_high"),
     (REAL, "holdout_error holdout_error_se"),  # share of the held-out squares not predicted
     (REAL, "alpha_fraction"),  # chosen on the folds; NaN of single fits

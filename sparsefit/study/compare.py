@@ -1,8 +1,8 @@
 """Comparison of two runs of a study: which cases changed, and by how much.
 
-Cases are matched by id or, without common ids, by `flight` and `identity`. A case changed if its
-status or its estimate did: U0, L_w and tau_w of flights, the held-out error of problems. Times are
-not compared.
+Cases are matched by id or, without common ids, by the names of unit and candidate. A case changed
+if its status or its estimate did: U0, L_w and tau_w of flights, the held-out error of problems.
+Times are not compared.
 """
 
 from __future__ import annotations
@@ -19,6 +19,10 @@ from sparsefit.study.measures import factors, numbers
 from sparsefit.study.table import Table, significant
 
 TOLERANCE = 1e-6  # relative change below which estimates are equal
+NAMES = (  # of unit and candidate, beside the levels of factors
+    *("flight", "log", "true_mean_velocity", "true_length_scale", "protocol", "label", "settings"),
+    *("problem", "samples", "columns", "objective", "solver", "tolerance"),
+)
 COUNTS = ("changed", "in status", "lost")
 
 
@@ -95,16 +99,15 @@ def compare(
     Raises:
         InputError: if they have no case in common.
     """
-    for key in (["case_id"], ["flight", "identity"]):
-        if not all(set(key) <= set(cases) for cases in (first, second)):
-            continue
+    both = first.columns.intersection(second.columns)
+    for key in (["case_id"], [name for name in both if name in NAMES or "." in name]):
         index = [pd.MultiIndex.from_frame(cases[key].astype(str)) for cases in (first, second)]
         shared = index[0][index[0].isin(index[1])]
         if len(shared) and all(each.is_unique for each in index):
             break
     else:
-        both = f"{names[0]} and {names[1]}"
-        raise InputError(f"{both} have no case in common: compare two runs of one study")
+        words = f"{names[0]} and {names[1]}"
+        raise InputError(f"{words} have no case in common: compare two runs of one study")
     sides = [cases.iloc[each.get_indexer(shared)].reset_index(drop=True)
              for cases, each in zip((first, second), index, strict=True)]  # fmt: skip
     of_problems = "objective" in first

@@ -31,7 +31,7 @@ from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
 from sparsefit.study.keys import BackendKeys, FlightFile, ProtocolKeys
 from sparsefit.study.quantities import nearest
-from sparsefit.study.schema import Section, canonical_json, digest, distinct, names_of, taken
+from sparsefit.study.schema import Section, canonical_json, distinct, names_of, taken
 from sparsefit.study.worker import in_child
 
 MOST_CASES = 2_000_000
@@ -81,12 +81,8 @@ class BackendPoint:
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """A protocol, sweep levels and a back-end with its settings, resolved.
+    """A protocol, sweep levels and a back-end with its settings, resolved."""
 
-    key: a hash of these, independent of the other cells of the study.
-    """
-
-    key: str
     protocol: str
     levels: Levels
     setup: Setup
@@ -192,8 +188,7 @@ def cross(
             changed[section][name] = value
         setup = read_setup(changed, within, parts)
         for backend in fitted:
-            names = [protocol, levels, backend.name, backend.settings]
-            yield Cell(digest(canonical_json(names)), protocol, levels, setup, backend)
+            yield Cell(protocol, levels, setup, backend)
 
 
 def read_flight_design(file: FlightFile, place: Place) -> FlightDesign:

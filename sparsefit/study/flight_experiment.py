@@ -50,11 +50,12 @@ class FlightExperiment(Experiment):
     def units(self) -> dict[str, list[Any]]:
         """The flights: simulated ones are known by their numbers, logged ones by their content."""
         count, pieces = self.design.count, self._pieces
+        numbers = [f"{number:04d}" for number in range(count)]
         return {
             "flight": list(range(count)),
-            "unit": [f"{number:04d}" for number in range(count)],
+            "unit": numbers,
             "split": [self.design.split(number) for number in range(count)],
-            "identity": numbered(digest(repr(piece)) for piece in pieces) or [""] * count,
+            "case_id": numbered(digest(repr(each)) for each in pieces) or numbers,
             **({"log": [piece.label for piece in pieces]} if pieces else {}),
         }
 
@@ -93,7 +94,7 @@ class FlightExperiment(Experiment):
             "settings": [cell.backend.canonical_settings for cell in cells],
             "label": [cell.backend.label for cell in cells],
             **{key: self._levels(key) for key in self.factors()},
-            "identity": numbered(map(self._identity, cells)),
+            "case_id": numbered(map(self._identity, cells)),
         }
 
     def _levels(self, key: str) -> list[Any]:
@@ -115,22 +116,17 @@ class FlightExperiment(Experiment):
         gives to these nor its other cells.
         """
         own = replace(cell.setup, flights=Logs(())) if self._pieces else cell.setup
-        definition, setup = self.definition, repr(own)
+        definition, setup = self.definition, canonical_json(own)
         count = self.design.count if "linspace" in setup else 0  # a rule that spaces flights
         run = (definition.seed, definition.rules.tolerance, definition.rules.prediction_flights)
         backend = (cell.backend.name, cell.backend.own_settings)
-        content = (*run, definition.on_board, count, setup, *backend)
-        return digest("\n".join(map(str, content)))
+        return digest(canonical_json([*run, definition.on_board, count, setup, *backend]))
 
     def factors(self) -> dict[str, str]:
         """The swept keys, and those that protocols set."""
         content = [key for overrides in self.design.protocols.values() for key in overrides]
         every = dict.fromkeys([*self.design.sweep, *content])
         return {key: "condition" if _of_flight(key) else "candidate" for key in every}
-
-    def case_id(self, unit: int, cell: int) -> str:
-        """The flight's number and the cell's key: `0007-3f9c0d6a41b2e857`."""
-        return f"{unit:04d}-{self.design.cells[cell].key}"
 
     def version(self, cell: int) -> str:
         return code_version(backends.distribution(self.design.cells[cell].backend.name))

@@ -119,7 +119,7 @@ def _content(document: Section, design: FlightDesign | ProblemDesign) -> object:
     shown_only = ("kind", "question", "select", "outputs")
     content: dict[str, object] = {k: v for k, v in document.items() if k not in shown_only}
     if isinstance(design, ProblemDesign):
-        return [content, [source.identity for source in design.problems]]
+        return [content, [each.identity for each in design.problems], design.cell_identities()]
     listed = [{"name": name, **overrides} for name, overrides in design.protocols.items()]
     flat = {"sweep": design.sweep, "protocols": listed}
     rules = (cell.setup.flights for cell in design.cells)
@@ -163,18 +163,15 @@ class Experiment(Protocol):
 
     @property
     def units(self) -> Columns:
-        """The columns of the units (u,): `flight`, `unit`, `identity` and others."""
+        """The columns of the units (u,): `flight`, `unit` and others; their part of `case_id`."""
 
     @property
     def cells(self) -> Columns:
-        """The columns of the cells (c,): `condition`, `candidate`, `title`, `identity`, factors."""
+        """The columns of the cells (c,): `condition`, `candidate`, `title`, factors, `case_id`."""
 
     def factors(self) -> Mapping[str, str]:
         """The role of each varied dotted key: "condition" or "candidate"."""
         return {}
-
-    def case_id(self, unit: int, cell: int) -> str:
-        """The id of a case in its row, independent of the other cases of the study."""
 
     def version(self, cell: int) -> str:
         """The code that makes the rows of a cell, here and now."""
@@ -216,7 +213,7 @@ class Plan:
     def shape(self) -> tuple[int, int]:
         """The numbers of units and cells (u, c)."""
         units, cells = self.experiment.units, self.experiment.cells
-        return len(units["identity"]), len(cells["identity"])
+        return len(units["case_id"]), len(cells["case_id"])
 
     @property
     def size(self) -> int:
@@ -225,36 +222,15 @@ class Plan:
 
     @cached_property
     def case_ids(self) -> list[str]:
-        """The id of every case, in plan order."""
-        units, cells = self.shape
-        case_id = self.experiment.case_id
-        return [case_id(unit, cell) for unit in range(units) for cell in range(cells)]
+        """The id of every case, in plan order: all that its numbers depend on, and no names.
 
-    @cached_property
-    def keys(self) -> list[str]:
-        """The key under which the store keeps each case."""
-        return self.keys_of(self.columns, by_case=False)
-
-    def keys_of(self, columns: Mapping[str, Sequence[Any]], *, by_case: bool) -> list[str]:
-        """The key of each row of `cases.parquet`, by its case_id or by its identity.
-
-        Simulated flights are known by their number beside it, logs and problems by identity alone.
+        Any study that plans a case plans it under this id, which is its key in a store.
         """
-        if by_case:
-            places, keys = self.place_of_case, self.keys
-            return [keys[places[n]] if n in places else f"?{n}" for n in columns["case_id"]]
-        if any(self.experiment.units["identity"]):
-            return list(map(str, columns["identity"]))
-        pairs = zip(columns["flight"], columns["identity"], strict=True)
-        return [f"{number}:{identity}" for number, identity in pairs]
+        parts = self.experiment.units["case_id"], self.experiment.cells["case_id"]
+        return list(map("-".join, itertools.product(*parts)))
 
     @cached_property
     def place_of(self) -> dict[str, int]:
-        """The place of each key in the plan."""
-        return {key: place for place, key in enumerate(self.keys)}
-
-    @cached_property
-    def place_of_case(self) -> dict[str, int]:
         """The place of each case id in the plan."""
         return {case_id: place for place, case_id in enumerate(self.case_ids)}
 
@@ -272,14 +248,12 @@ class Plan:
         """Every planned column, a value a case."""
         (rows, count), units, cells = self.shape, self.experiment.units, self.experiment.cells
         varied = len(set(cells["condition"])) > 1
-        pairs = list(itertools.product(*([*map(str, each["identity"])] for each in (units, cells))))
         return {
-            "case_id": self.case_ids,
             **{name: [value for value in units[name] for _ in range(count)] for name in units},
             **{name: list(cells[name]) * rows for name in cells},
+            "case_id": self.case_ids,
             "unit": [f"{unit} in {condition}" if varied and condition else str(unit)
                      for unit, condition in itertools.product(units["unit"], cells["condition"])],
-            "identity": [f"{row}.{cell}" if row else cell for row, cell in pairs],
             "study": [self.experiment.definition.name] * self.size,
         }  # fmt: skip
 
@@ -315,8 +289,8 @@ class Plan:
         for name in names:
             cells = np.array([any(fnmatchcase(own, name) for own in each) for each in called])
             mine: BoolArray = cells | np.array([[fnmatchcase(unit, name)] for unit in units])
-            if not mine.any() and name in self.place_of_case:
-                mine[self.at(self.place_of_case[name])] = True
+            if not mine.any() and name in self.place_of:
+                mine[self.at(self.place_of[name])] = True
             if not mine.any():
                 known = ", ".join(sorted({own for values in columns[1:] for own in values}))
                 words = f"give a back-end, a label, a protocol, a problem, a solver ({known})"

@@ -57,7 +57,7 @@ class ProblemExperiment(Experiment):
             "problem": [source.name for source in sources],
             "series": [source.series for source in sources],
             "split": ["all"] * len(sources),
-            "identity": numbered(digest(source.identity) for source in sources),
+            "case_id": numbered(digest(source.identity)[:8] for source in sources),
         }
 
     @cached_property
@@ -79,13 +79,8 @@ class ProblemExperiment(Experiment):
             "settings": [contender.content for contender, _ in pairs],
             "solver": [contender.solver for contender, _ in pairs],
             "tolerance": [stop for _, stop in pairs],
-            "identity": identities,
+            "case_id": identities,
         }  # fmt: skip
-
-    def case_id(self, unit: int, cell: int) -> str:
-        """The problem's number and a digest of the case: `003-9f1c0d6a41b2e857`."""
-        content = self.units["identity"][unit] + self.cells["identity"][cell]
-        return f"{unit:03d}-{digest(content)}"
 
     def version(self, cell: int) -> str:
         """The version of the code and of a plug-in, and a digest of the machine."""

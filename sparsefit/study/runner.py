@@ -221,14 +221,13 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
         with told_with(part):
             stored[part] = Store.read(part, plan).rows()
     with locked(folder):
-        rows = {row.key: (folder, row) for row in Store.read(folder, plan).rows()}
+        rows = {row.case_id: (folder, row) for row in Store.read(folder, plan).rows()}
         for part, theirs in stored.items():
             for row in theirs:
-                first, other = rows.setdefault(row.key, (part, row))
+                first, other = rows.setdefault(row.case_id, (part, row))
                 if not _alike(row, other):
-                    case = plan.case_ids[plan.place_of[row.key]]
                     words = f"differs between {first} and {part}: leave one of them out"
-                    raise InputError(f"case {case} {words}")
+                    raise InputError(f"case {row.case_id} {words}")
             taken = sum(first == part for first, _ in rows.values())
             merged.append(MergedPart(part, len(theirs), taken))
         with Store.opened(folder, plan) as own:

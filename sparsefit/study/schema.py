@@ -20,7 +20,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
@@ -75,11 +75,17 @@ def _depth(value: object) -> int:
 
 
 def canonical_json(value: object) -> str:
-    """JSON with sorted keys, without blanks, 10.0 written as 10: equal content, equal text."""
+    """JSON with sorted keys, without blanks, 10.0 written as 10: equal content, equal text.
+
+    Of a record, the settings that are not at their defaults: a new setting changes no text.
+    """
     return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"), default=str)
 
 
 def _plain(value: object) -> object:
+    if is_dataclass(value) and not isinstance(value, type):
+        content = {item: getattr(value, item.name) for item in fields(value) if item.repr}
+        return {item.name: _plain(own) for item, own in content.items() if own != _default(item)}
     if isinstance(value, float) and value.is_integer():
         return int(value)
     if isinstance(value, Mapping):
@@ -87,6 +93,10 @@ def _plain(value: object) -> object:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
+
+
+def _default(item: Field[Any]) -> object:
+    return item.default if item.default_factory is MISSING else item.default_factory()
 
 
 def digest(content: str) -> str:

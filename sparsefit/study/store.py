@@ -7,7 +7,7 @@
     read_cases(folder)                             # a frame, if the checksum of the file is right
 
 `cases.sqlite` begins with the rows of an earlier export, copied in one transaction, and takes the
-place of it until the next. The key of a row is the identity of its case. Each row has a checksum,
+place of it until the next. The key of a row is the id of its case. Each row has a checksum,
 an export has its own in `manifest.json`: a damaged row is ignored, a damaged file is refused in a
 line. What was committed survives a kill. The next export leaves out rows that are not planned.
 """
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from sparsefit.study.plan import Plan
 
 STORE, CASES = "cases.sqlite", "cases.parquet"
-SCHEMA = """CREATE TABLE IF NOT EXISTS cases (key TEXT PRIMARY KEY, status TEXT NOT NULL,
+SCHEMA = """CREATE TABLE IF NOT EXISTS cases (case_id TEXT PRIMARY KEY, status TEXT NOT NULL,
 reason TEXT NOT NULL, version TEXT NOT NULL, body TEXT NOT NULL, crc INTEGER NOT NULL)"""
 REMEDIES = {  # by what SQLite says
     **dict.fromkeys(("full", "I/O"), "make room, and run it again"),
@@ -53,9 +53,9 @@ ENDED = ("status", "reason", "version")
 
 
 class Row(NamedTuple):
-    """A stored row: the key of its case, status, reason, version, and all other values as JSON."""
+    """A stored row: the id of its case, status, reason, version, and all other values as JSON."""
 
-    key: str
+    case_id: str
     status: str
     reason: str
     version: str
@@ -101,7 +101,7 @@ class Store:
         same = made.get("study_hash") == plan.experiment.definition.hash
         store = cls(folder, plan, same, [""] * plan.size, [""] * plan.size)
         for row in store._every(brief=True):
-            place = None if row is None else plan.place_of.get(row.key)
+            place = None if row is None else plan.place_of.get(row.case_id)
             if row is None:
                 store.damaged += 1
             elif place is None:
@@ -165,7 +165,7 @@ class Store:
         """Write the row of an outcome, by this version, in the place of an earlier one."""
         place = outcome.unit * self.plan.shape[1] + outcome.cell
         content = (outcome.status, outcome.reason, version, body_of(outcome.values))
-        self.put_row(Row(self.plan.keys[place], *content))
+        self.put_row(Row(self.plan.case_ids[place], *content))
         self.status[place], self.version[place] = outcome.status, version
 
     def put_row(self, row: Row) -> None:
@@ -191,8 +191,8 @@ class Store:
 
     def rows(self) -> list[Row]:
         """The undamaged rows of planned cases, in plan order."""
-        rows = {row.key: row for row in self._every() if row}
-        return [rows[key] for key in self.plan.keys if key in rows]
+        rows = {row.case_id: row for row in self._every() if row}
+        return [rows[case_id] for case_id in self.plan.case_ids if case_id in rows]
 
     def _every(self, *, brief: bool = False) -> Iterator[Row | None]:
         """Every row of `cases.sqlite` or, without that, of `cases.parquet`; None for a row whose
@@ -206,7 +206,7 @@ class Store:
                 base.text_factory = lambda text: text.decode(errors="replace")  # of a damaged row
                 if base.execute("SELECT 1 FROM sqlite_master WHERE name = 'cases'").fetchone():
                     every = base.execute(
-                        "SELECT key, status, reason, version, body, crc FROM cases"
+                        "SELECT case_id, status, reason, version, body, crc FROM cases"
                     )
                     for *content, crc in every:
                         row = Row(*content) if all(isinstance(p, str) for p in content) else None
@@ -217,22 +217,19 @@ class Store:
             yield from self._exported(brief)
 
     def _exported(self, brief: bool) -> Iterator[Row | None]:
-        """The rows of `cases.parquet`.
-
-        Their keys come from case_id while the study is the same, whatever now enters an identity;
-        those of another study from the identity.
-        """
+        """The rows of `cases.parquet`; of this very study, all are in the order of the plan."""
         with parquet(self.folder / CASES) as file:
+            whole = self.same and file.metadata.num_rows == self.plan.size
+            planned = iter(self.plan.case_ids) if whole else None
             there = set(file.schema_arrow.names)
-            heads = there & {"case_id", "flight", "identity", *ENDED}
             own = [name for name in kinds_of(self.plan.experiment.columns)
                    if name in there.difference(self.plan.columns, ENDED) and not brief]  # fmt: skip
-            for batch in file.iter_batches(batch_size=BATCH, columns=[*heads, *own]):
+            for batch in file.iter_batches(batch_size=BATCH, columns=["case_id", *ENDED, *own]):
                 content = batch.to_pydict()
-                keys = self.plan.keys_of(content, by_case=self.same)
-                every = zip(keys, *(content[name] for name in ENDED), strict=True)
-                for number, (key, status, reason, version) in enumerate(every):
+                every = zip(*(content[name] for name in ("case_id", *ENDED)), strict=True)
+                for number, (case_id, status, reason, version) in enumerate(every):
                     body = body_of({name: content[name][number] for name in own})
+                    key = next(planned) if planned else case_id
                     row = Row(key, status, reason or "", version or "", body)
                     yield row if status in STATUSES else None
 
@@ -315,7 +312,7 @@ def parquet(path: Path) -> Iterator[Any]:
                 words = f"{facts.num_rows} rows of {size} bytes"
                 raise InputError(f"{path}: {words}: it is another file")
             of_text = {name for name in schema.names if "string" in str(schema.field(name).type)}
-            if missing := sorted({"case_id", "backend", "settings", "identity", *ENDED} - of_text):
+            if missing := sorted({"case_id", "backend", "settings", *ENDED} - of_text):
                 raise InputError(
                     f'{path}: no cases of a study, without a column "{missing[0]}" of text: take '
                     "the file from where it came, or run the study with --fresh"
@@ -343,7 +340,7 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     import pyarrow as pa
 
     bodies = [json.loads(row.body) for row in rows]
-    places = [plan.place_of[row.key] for row in rows]
+    places = [plan.place_of[row.case_id] for row in rows]
     arrays: dict[str, Any] = {}
     for column in plan.experiment.columns:
         name, kind, empty = column.name, column.kind, column.kind.empty

@@ -138,7 +138,7 @@ class Study(Definition):
             table = read_cases(self.folder)
         elif rows := store.rows():
             table = cases_table(self.planned, rows).to_pandas()
-            places = [self.planned.place_of[row.key] for row in rows]
+            places = [self.planned.place_of[row.case_id] for row in rows]
             frame = frame.iloc[places].reset_index(drop=True)
         else:
             words = f"0 of {self.planned.size} cases are there; run them first"
@@ -171,7 +171,7 @@ class Study(Definition):
             InputError: for an unknown id, with the nearest one.
             SparsefitError: if the case fails, with its error.
         """
-        place = self.planned.place_of_case.get(case_id)
+        place = self.planned.place_of.get(case_id)
         if place is None:
             ids = self.planned.case_ids
             near, *_ = get_close_matches(case_id, ids, 1) or ids
@@ -258,7 +258,7 @@ class Study(Definition):
         own = changes.pop("design", self.flights)
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
         cells = tuple(own.cells[cell] for cell in chosen)
-        content = f"{self.hash} {name} {own.count} {' '.join(cell.key for cell in cells)}"
+        content = f"{self.hash} {name} {own.count} {' '.join(sorted(candidates))}"
         changes |= {"name": name, "hash": sha256(content.encode()).hexdigest()}
         changes |= {"outputs": Outputs(), "design": replace(own, cells=cells, titles=self._titles)}
         return replace(self, **changes, folder=self.folder / name)

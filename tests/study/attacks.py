@@ -69,12 +69,12 @@ def started(folder, processes, **how):
 
 
 def stored(folder):
-    """The checksum of every row that is on the disk, by its key."""
+    """The checksum of every row that is on the disk, by the id of its case."""
     if not (folder / STORE).exists():
         return {}
     base = sqlite3.connect(folder / STORE, timeout=10.0)
     try:
-        return dict(base.execute("SELECT key, crc FROM cases"))
+        return dict(base.execute("SELECT case_id, crc FROM cases"))
     except sqlite3.OperationalError:
         return {}
     finally:
@@ -174,7 +174,7 @@ def damaged(study, count):
     exported = {path.name: path.read_bytes() for path in study.folder.iterdir()}
     unpack(study)
     whole = (study.folder / STORE).read_bytes()
-    expected = {row.key: row for row in Store.read(study.folder, study.planned).rows()}
+    expected = {row.case_id: row for row in Store.read(study.folder, study.planned).rows()}
     for seed in range(count):
         rng = np.random.default_rng(seed)
         for path in study.folder.iterdir():
@@ -191,7 +191,7 @@ def damaged(study, count):
             (study.folder / name).write_bytes(data)
         try:
             rows = Store.read(study.folder, study.planned).rows()
-            wrong += any(expected[row.key] != row for row in rows)
+            wrong += any(expected[row.case_id] != row for row in rows)
             if rows:
                 _ = replace(study).cases
         except InputError as error:

@@ -100,7 +100,7 @@ def test_the_bound_is_no_less_than_that_of_known_phases(tmp_path):
 
 def test_a_case_of_one_flight_is_what_it_was_and_others_are_others(tmp_path):
     plain, two, three = (
-        together(tmp_path, more).plan()["identity"][0]
+        together(tmp_path, more).plan()["case_id"][0]
         for more in ("", "together = 2", "together = 3")
     )
     assert len({plain, two, three}) == 3
@@ -177,8 +177,8 @@ def test_a_log_that_changes_leaves_the_cases_of_the_others(folder, flight):
     (folder / "b.csv").rename(folder / "0.csv")
     later = load_logs(folder)
     assert later.hash != first.hash
-    assert later.planned.keys[:3] == first.planned.keys[3:]
-    assert not set(later.planned.keys[3:]) & set(first.planned.keys)
+    assert later.planned.case_ids[:3] == first.planned.case_ids[3:]
+    assert not set(later.planned.case_ids[3:]) & set(first.planned.case_ids)
     assert later.plan()["log"][0] == "0.csv 3-6.99 s"
 
 
@@ -209,7 +209,7 @@ def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
     flown = study.flown()
     assert flown.folder == study.folder / "on-board"
     assert flown.plan()["title"].tolist() == ["rms"] * 2
-    assert not set(flown.plan()["identity"]) & set(study.plan()["identity"])
+    assert not set(flown.plan()["case_id"]) & set(study.plan()["case_id"])
     (row,) = FlightDesk(flown.definition).cases(0, [0])["rows"]
     assert row[1] == "unidentifiable"  # two seconds are few for a board
     alone = together(tmp_path, rest='[readout]\nmean_velocity = "paper"')

@@ -130,6 +130,8 @@ class TestComparison:
 
     def test_runs_that_have_nothing_in_common_are_refused(self):
         other = spread(flights=10).assign(case_id=[f"x{n}" for n in range(20)])
+        assert not compare(spread(flights=10), other, ("a", "b")).differs  # by their names
+        other["flight"] += 10
         with pytest.raises(InputError, match="no case in common"):
             compare(spread(flights=10), other, ("a", "b"))
         with pytest.raises(InputError, match="no case in common"):

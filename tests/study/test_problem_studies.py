@@ -194,7 +194,7 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
     np.testing.assert_allclose(data.test[1][:, 0], data.test[0] @ [1.0, -2.0])
     assert study.call(study.plan()["candidate"][0]).startswith("sf.fit(theta, target, 'lasso'")
     other = load(tmp_path, entry.replace('["drag", "lift"]', '["lift", "drag"]'))
-    assert study.plan()["identity"][0] != other.plan()["identity"][0]
+    assert study.plan()["case_id"][0] != other.plan()["case_id"][0]
     for words, said in (
         (keys, 'needs target = "COLUMN"'),
         (f'{keys}target = "draf"\n', 'has no column "draf": did you mean "drag"?'),
@@ -223,11 +223,11 @@ def test_what_is_no_table_of_numbers_is_refused(tmp_path, text, said):
 
 
 def test_a_changed_solver_file_is_another_case(own):
-    before = own.plan()["identity"]
+    before = own.plan()["case_id"]
     path = Path(own.path).parent / "deeds.py"
     text = path.read_text()
     path.write_text(text + "\n# changed\n")
-    after = sf.Study.from_file(own.path).plan()["identity"]
+    after = sf.Study.from_file(own.path).plan()["case_id"]
     path.write_text(text)
     ours = (own.plan()["solver"] == "homotopy").to_numpy()
     assert (before == after).to_numpy().tolist() == ours.tolist()
@@ -241,7 +241,7 @@ def test_a_changed_file_of_a_command_is_another_case(tmp_path):
     (tmp_path / "studies").mkdir()
     for program in (COMMAND, f"{COMMAND}# changed"):
         (tmp_path / "program.py").write_text(program)
-        identities.append(load(tmp_path / "studies", text).plan()["identity"])
+        identities.append(load(tmp_path / "studies", text).plan()["case_id"])
     assert (identities[0] == identities[1]).tolist() == [False, True]
 
 

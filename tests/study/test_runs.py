@@ -200,7 +200,7 @@ def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
     assert (summary.computed, summary.stale) == (6, 12)
     with Store.opened(later.folder, later.planned) as store:
         for row in store.rows()[:2]:
-            store.put_row(type(row)(row.key, "timeout", "slow", row.version, row.body))
+            store.put_row(type(row)(row.case_id, "timeout", "slow", row.version, row.body))
     assert later.run(processes=1, retry_failed=True).computed == 2
     (later.folder / "README.md").write_text("what the rows from before told")
     assert later.run(processes=1, fresh=True, only=[later.plan()["case_id"][3]]).done == 1
@@ -211,7 +211,7 @@ def test_a_damaged_row_is_computed_again(whole, copied):
     attacks.unpack(copied)
     base = sqlite3.connect(copied.folder / STORE)
     with base:
-        base.execute("UPDATE cases SET body = replace(body, '1', '2') WHERE key LIKE '0:%'")
+        base.execute("UPDATE cases SET body = replace(body, '1', '2') WHERE case_id LIKE '0000-%'")
     base.close()
     assert copied.status().done == 12
     assert copied.run(processes=1).damaged == 6
@@ -298,9 +298,9 @@ def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tm
         part = changed(whole, tmp_path / name, WHOLE)
         attacks.unpack(part)
         with Store.opened(part.folder, part.planned) as store:
-            drop = "0:%" if name == "a" else "2:%"
+            drop = "0000-%" if name == "a" else "0002-%"
             with store.base:
-                store.base.execute("DELETE FROM cases WHERE key LIKE ?", (drop,))
+                store.base.execute("DELETE FROM cases WHERE case_id LIKE ?", (drop,))
         parts.append(part)
     target = load(tmp_path, WHOLE)
     merged = target.merge([part.folder for part in parts])
@@ -313,7 +313,7 @@ def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tm
         target.merge([bare.folder])
     with Store.opened(parts[0].folder, parts[0].planned) as store:
         row = store.rows()[0]
-        store.put_row(type(row)(row.key, "misfit", "", row.version, row.body))
+        store.put_row(type(row)(row.case_id, "misfit", "", row.version, row.body))
     with pytest.raises(InputError, match=r"differs between .* leave one"):
         target.merge([parts[0].folder])
 
