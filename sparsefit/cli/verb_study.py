@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sparsefit.cli import terminal
 from sparsefit.cli.options import FORCE, PAIRS, RESULTS, Option, Verbs, print_help, verb
@@ -173,20 +173,14 @@ def status(args: argparse.Namespace) -> Reply:
 
 def errors(args: argparse.Namespace) -> Reply:
     """List the cases that are not ok, grouped by candidate, status and reason."""
+    from sparsefit.study import tables
+
     study, state = stored(args, whole=False)
-    cases = study.cases
-    cases = cases[cases["status"] != "ok"]
-    # Numbers in a reason may vary.
-    pattern = cases["reason"].str.replace(r"[-+]?\d[\d.,e+-]*", "#", regex=True)
-    names = {"status": "status", "label": "title", "reason": "reason", "first_case": "case_id"}
-    groups: list[dict[str, Any]] = [
-        {"cases": len(rows), **{key: str(rows[name].iloc[0]) for key, name in names.items()}}
-        for _, rows in cases.groupby([cases["title"], cases["status"], pattern], sort=False,
-                                     dropna=False)
-    ]  # fmt: skip
-    groups.sort(key=lambda group: -group["cases"])
-    done = {"done": state.done, "planned": state.planned, "not_ok": len(cases)}
-    return Reply({"study": study.name, **done, "groups": groups})
+    groups = tables.failures(study.cases).reset_index()
+    done = {"done": state.done, "planned": state.planned, "not_ok": int(groups["cases"].sum())}
+    groups = groups.rename(columns={"title": "label", "reason_of_it": "reason"})
+    shown = ["cases", "status", "label", "reason", "first_case"]
+    return Reply({"study": study.name, **done, "groups": groups[shown].to_dict("records")})
 
 
 def show(args: argparse.Namespace) -> Reply:

@@ -18,16 +18,7 @@ import numpy as np
 from sparsefit.arrays import IntArray
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, suggestion, unknown
-from sparsefit.study.measures import (
-    Measure,
-    bounded,
-    factors,
-    in_flow,
-    measure,
-    numbers,
-    numeric_factors,
-    of_parameters,
-)
+from sparsefit.study.measures import Measure, factors, measure, numbers, numeric_factors
 from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import Range, key
 from sparsefit.study.solver_times import is_race
@@ -38,6 +29,10 @@ if TYPE_CHECKING:
 
 Options: TypeAlias = Mapping[str, object]
 MEASURED = ("settings", "protocols", "lines", "ecdf")  # layouts of any measures
+OF = {  # other layouts: the kind of study
+    **dict.fromkeys(("coverage", "scatter"), "flights"),
+    **dict.fromkeys(("solvers", "failed", "profiles", "shapes"), "problems"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,43 +120,41 @@ def call(function: Callable[..., Any], study: Any, cases: pd.DataFrame, *kinds: 
 
 @cache
 def shipped(kind: str) -> dict[str, dict[str, Any]]:
-    """Return the entries of outputs.toml by name: the `tables` or the `figures`."""
+    """Return the entries of outputs.toml by name: the `tables`, the `figures` or the `defaults`."""
     text = (resources.files(__package__) / "outputs.toml").read_text(encoding="utf-8")
     named: dict[str, dict[str, Any]] = tomllib.loads(text)[kind]
     return named
 
 
-def facts(cases: pd.DataFrame) -> set[str]:
-    """Return what holds of the cases, in the words of `needs` in outputs.toml."""
-    says: dict[str, Any]
-    if "objective" in cases:
-        predicted = np.isfinite(numbers(cases, "holdout_error")).any()
-        says = {"predicted": predicted, "race": is_race(cases) or not predicted}
+def is_predicted(cases: pd.DataFrame) -> bool:
+    """Return whether a problem has a held-out error."""
+    return bool(np.isfinite(numbers(cases, "holdout_error")).any())
+
+
+def defaults(study: Any, cases: pd.DataFrame, kind: str) -> list[str]:
+    """Return the names of the tables, or figures, of a study that declares none."""
+    if study.kind == "problems":
+        groups = ["prediction"] * is_predicted(cases) + ["race"] * is_race(cases)
+    elif cases["flight"].nunique() < 2:
+        groups = ["single flight"]
     else:
-        several, bound = cases["flight"].nunique() > 1, bounded(cases)
-        says = {
-            "single": not several, "several": several, "flow": in_flow(cases).any(),
-            "bound": bound.any(), "scales": np.isfinite(numbers(cases, "scales_missed")).any(),
-            "bounds along noise": "flights.process_noise" in factors(cases[bound]),
-            "intervals": np.isfinite(of_parameters(cases)["coverage"]).any(),
-            "numbers swept": numeric_factors(cases),
-        }  # fmt: skip
-    kind = "problems" if "objective" in cases else "flights"
-    return {kind, *(name for name, holds in says.items() if holds)}
+        groups = ["sweep" if numeric_factors(cases) else "flights"]
+    return [name for group in groups or ["race"] for name in shipped("defaults")[group][kind]]
 
 
 def asked(
-    study: Any, kind: str, layouts: Collection[str], names: Sequence[str | Options] = (),
-    cases: pd.DataFrame | None = None,
-) -> Iterator[tuple[str, Entry | Callable[..., Any]]]:  # fmt: skip
+    study: Any,
+    kind: str,
+    layouts: Collection[str],
+    names: Sequence[str | Options] = (),
+) -> Iterator[tuple[str, Entry | Callable[..., Any]]]:
     """Give the file name of each output with its entry, or with what calls the script's function.
 
-    An entry whose name is shipped, or declared by the study in full, starts from that.
+    An entry with the name of a shipped one starts from that, unless it says `compare`.
 
     Args:
         kind: `table` or `figure`; layouts: their names.
-        names: those that are asked for, else those that the study declares, else of those that
-            ship all that have something to say of these cases.
+        names: those that are asked for, by default those that the study declares.
 
     Raises:
         InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
@@ -169,10 +162,9 @@ def asked(
     functions, own = functions_of(study), getattr(study.definition.outputs, f"{kind}s")
     named = shipped(f"{kind}s")
     declared = {each["name"]: each for each in own if not isinstance(each, str) and "name" in each}
-    says = set[str]() if cases is None else facts(cases)
-    fitting = [name for name, options in named.items() if set(options["needs"]) <= says]
-    for entry in names or own or fitting:
-        name = entry if isinstance(entry, str) else str(entry.get("name", ""))
+    for entry in names or own:
+        given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry
+        name = str(given.get("name", ""))
         if isinstance(entry, str) and name not in declared:
             if name in functions:
                 yield name, partial(call, functions[name], study)
@@ -181,24 +173,15 @@ def asked(
                 raise unknown(kind, name, [*named, *functions])
         if "/" in name or "\\" in name or name.startswith("."):
             raise InputError(f"the {kind} name {name!r} is that of a file: leave out / and \\")
-        given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry
-        start = {
-            option: value for option, value in named.get(name, {}).items() if option != "needs"
-        }
-        if given.get("compare", start.get("compare")) != start.get("compare"):
-            start = {}  # another layout under the name of a shipped one
+        start = {} if "compare" in given else named.get(name, {})
         read = build(Entry, {**start, **given}, Place(f"the {kind}"))
         one_of(f"compare of the {kind}", layout := read.compare or "settings", layouts)
-        kinds = {each.kind for each in read.measures}
-        if layout not in MEASURED:
-            alike = (each["needs"] for each in named.values() if each.get("compare") == layout)
-            kinds.update(*alike)
-        elif not read.measures:
+        if layout in MEASURED and not read.measures:
             raise InputError(f"the {kind} {name!r} needs measure = …: add it")
+        kinds = {OF.get(layout, ""), *(each.kind for each in read.measures)}
         if other := kinds & {"flights", "problems"} - {study.kind}:
-            mine = [each for each in named if not other & set(named[each]["needs"])]
-            raise InputError(f"the {kind} {name!r} is of {other.pop()}, and these cases are of "
-                             f"{study.kind}, of which are {', '.join(mine)}")  # fmt: skip
+            words = f"is of {other.pop()}, and these cases are of {study.kind}"
+            raise InputError(f"the {kind} {name!r} {words}")
         yield read.file_name, read
 
 

@@ -19,6 +19,7 @@ from sparsefit.study.page import Code, drawing, files_of, joined, to_html
 from sparsefit.study.panels import Curve, Panel, drawn
 from sparsefit.study.selection import Check, Selection, headline, lines, verdict
 from sparsefit.study.table import Column, Row, Table
+from sparsefit.study.tables import FAILURES
 from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
@@ -56,8 +57,9 @@ def tables(selection: Selection) -> dict[str, Table]:
                ("disturbed", "%", ".0f"))  # fmt: skip
     made = {
         "selection": Table(f"Candidates of the selection ({study})", heads, candidates, (
-            f"Criterion: {criterion.words}; {criterion.measure.convention}. Worse by: than the "
-            f"chosen. Intervals: 95 %, by bootstrap over the same {selection.unit}s for all.",
+            f"Criterion: {criterion.words}. {FAILURES * (criterion.measure.miss is not None)}",
+            "Worse by: than the chosen. Intervals: 95 %, by bootstrap over the same "
+            f"{selection.unit}s for all.",
         )),
         "regimes": Table(f"Regimes ({study})", (
             *map(Column, ("candidate", "verdict")),

@@ -21,7 +21,7 @@ from sparsefit.plot.style import COLOURS, GREY, styled, with_unit, wrapped
 from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text, unit_of
-from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, in_words, measure, numbers
+from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers
 from sparsefit.study.panels import LOG_RANGE, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
 from sparsefit.study.table import sentence
@@ -93,8 +93,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
         x_label = with_unit(factor_words(along), unit_of(along))
         for each in entry.measures:
             values = each.values(cases)
-            summary = "" if each.summary == "share" else f"{each.summary} "
-            words = with_unit(f"{summary}{each.heading or each.words}", each.unit)
+            words = with_unit(each.head + each.heading, each.unit)
             for row in _grid(entry, cases):
                 grid.append([
                     Panel(
@@ -255,21 +254,22 @@ def figures(
     """Return figures by file name: those named, else those of [outputs], else all that apply."""
     from matplotlib.figure import Figure
 
-    every: dict[str, Picture] = {}
-    for name, entry in entries.asked(study, "figure", LAYOUTS, names, cases):
+    every, names = dict[str, Picture](), names or study.definition.outputs.figures
+    wanted = names or entries.defaults(study, cases, "figures")
+    for name, entry in entries.asked(study, "figure", LAYOUTS, wanted):
         if not isinstance(entry, Entry):
             made: Figure = styled(entry)(cases, Figure)
             every[name] = Picture(made, sentence(name.replace("_", " ")))
             continue
         drawing = styled(LAYOUTS[entry.compare or "settings"], entry.width)(entry, cases)
-        if drawing is None:
+        if drawing is not None:
+            bars = ("Bars: 95 % Wilson intervals",) * any(axes.collections for axes in drawing.axes)
+            shown = entry.title or "; ".join(each.phrase for each in entry.measures)
+            if entry.compare == "ecdf" and not entry.title:
+                shown = "Distribution functions of all planned cases, failures included"
+            caption = " ".join(map(sentence, (shown, *entry.notes, *bars)))
+            every[name] = Picture(drawing, caption)
+        elif names:
             words = ", ".join(each.words for each in entry.measures) or "an answer"
             every[name] = Picture(None, f"{name}: nothing to draw, no case has {words}.")
-            continue
-        shown = in_words(entry.measures, of_cases=entry.compare == "ecdf")
-        if entry.compare == "ecdf":
-            shown = f"Distribution functions of all planned cases, failures included: {shown}"
-        bars = ("Bars: 95 % Wilson intervals",) * any(axes.collections for axes in drawing.axes)
-        caption = " ".join(map(sentence, (entry.title or shown, *entry.notes, *bars)))
-        every[name] = Picture(drawing, caption)
     return every

@@ -9,7 +9,7 @@ out, and the tables count it beside them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -20,7 +20,6 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import one_of, unknown
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.resampling import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
-from sparsefit.study.table import listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -129,16 +128,13 @@ class Measure:
     @property
     def phrase(self) -> str:
         """The summary in words, `median |error| of τ_w`."""
-        return f"{'share of' if self.summary == 'share' else self.summary} {self.words}"
+        before = {"share": "share of ", "value": ""}
+        return before.get(self.summary, f"{self.summary} ") + self.words
 
     @property
-    def convention(self) -> str:
-        """The rule of failure in words."""
-        if self.miss is None:
-            return "over the cases that have one"
-        if self.summary in QUANTILES:
-            return "a case without an answer counting as worse than any"
-        return f"a case without an answer counting as {self.miss:g} {self.unit}".rstrip()
+    def head(self) -> str:
+        """The summary as a label has it: empty of shares and of single values."""
+        return "" if self.summary in ("share", "value") else f"{self.summary} "
 
     def values(self, cases: pd.DataFrame) -> Array:
         """Return the number of each case (rows,); infinite for a failure that counts."""
@@ -160,21 +156,6 @@ class Measure:
         return math.nan if np.isnan(values).all() else float(self.reduce(values))
 
 
-def in_words(every: Sequence[Measure], *, of_cases: bool = False) -> str:
-    """Return what measures are in words, those of U0, L_w and tau_w in one.
-
-    Args:
-        of_cases: whether they are those of single cases, and not summarised.
-    """
-    alike: dict[str, list[str]] = {}
-    for each in every:
-        words = f"{each.phrase}, {each.convention}" if each.miss is not None else each.phrase
-        words = each.words if of_cases else words
-        symbol = next((name for name in SYMBOLS.values() if name in words), "")
-        alike.setdefault(words.replace(symbol, "{}") if symbol else words, []).append(symbol)
-    return "; ".join(words.format(listed(symbols, "and")) for words, symbols in alike.items())
-
-
 def measure(words: str) -> Measure:
     """Return the measure of a name, alone or behind a summary: `95th percentile seconds`.
 
@@ -187,7 +168,8 @@ def measure(words: str) -> Measure:
     if not summary:
         return MEASURES[name]
     one_of("summary", summary, SUMMARY_NAMES)
-    return replace(MEASURES[name], summary=summary, format="")
+    own = MEASURES[name]
+    return replace(own, summary=summary, format=own.format if summary == "value" else "")
 
 
 def three(kind: str) -> tuple[str, ...]:
@@ -219,6 +201,7 @@ def of_parameters(cases: pd.DataFrame) -> dict[str, Array]:
         **dict.fromkeys(("size", "error"), np.abs(percent)),
         "efficiency": only(is_bounded, deviation / bound),
         "coverage": np.where(has_ends, (low <= true) & (true <= high), np.nan),
+        **{"true": true, "estimated": estimate},
         "half-width": np.where(has_ends, 50.0 * (high - low) / np.abs(estimate), np.nan),
     }
 
@@ -264,6 +247,8 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
       for name in ("ok", "misfit", "unidentifiable")),
 ), "flights": (
     # of each parameter
+    *_of_each("true", None, "true", "true {}", summary="value", format=".4g"),
+    *_of_each("estimated", None, "estimated", "estimated {}", summary="value", format=".4g"),
     *_of_each("error", "%", "|error|", "|error| of {}", miss=100.0, least=TINY),
     *_of_each("size", "%", "|error|", "|error| of {}", least=TINY),
     *_of_each("signed-error", "%", "signed % error", "signed % error of {}", summary="mean",
@@ -319,9 +304,6 @@ MEASURES: dict[str, Measure] = {each.name: replace(each, kind=kind) for kind, gr
       for name in ("precision", "recall", "f1")),
     Measure("stability", "", "stability", "overlap of the supports of two halves",
             _column("stability"), more=True),
-    Measure("excess", "", "excess", "certified excess of the objective", _column("excess"),
-            "largest", format=".1e"),
-    Measure("wall", "s", "time", "time of a solve", _column("wall"), varies=True),
     Measure("first-call", "s", "first call", "time of the first call, with imports and compilation",
             _timed("first"), "largest", varies=True),
     Measure("peak-memory", "MB", "peak memory", "peak memory", _timed("memory"), "largest",

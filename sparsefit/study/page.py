@@ -22,9 +22,9 @@ from sparsefit.errors import InputError
 from sparsefit.plot.style import encoded
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
-from sparsefit.study.entries import asked, facts, grouped, script_of
+from sparsefit.study.entries import asked, grouped, is_predicted, script_of
 from sparsefit.study.figures import Picture
-from sparsefit.study.measures import measure
+from sparsefit.study.measures import Measure, in_flow, measure
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, plain, sentence, significant
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files, write_whole
@@ -128,12 +128,9 @@ def check_outputs(study: Any) -> None:
 
 def headline(study: Any, cases: pd.DataFrame) -> str:
     """Return the summary sentence of a study: the best and the worst candidate by its measure."""
-    outputs, says = study.definition.outputs, facts(cases)
-    defaults = {"predicted": "holdout-error", "problems": "", "flow": "timescale-error"}
-    default = next((name for fact, name in defaults.items() if fact in says), "called-ok")
-    if not (outputs.headline or default):
-        return " ".join(solver_times.headline(cases))
-    each = measure(outputs.headline or default)
+    outputs, each = study.definition.outputs, _first_measure(study, cases)
+    if each is None:
+        return solver_times.headline(cases)
     values, column = each.values(cases), tables.column_of(each)
     every = {str(title): each.summary_of(values[at]) for (title,), at in grouped(cases, ["title"])}
     scores = {title: value for title, value in every.items() if not math.isnan(value)}
@@ -151,11 +148,21 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     count, several = cases["flight"].nunique(), cases["condition"].nunique()
     where = f"over {count} {unit_of(cases)}{'s' * (count > 1)}"
     where += f" in {several} conditions" if several > 1 else ""
-    failing = f"; {each.convention}" if each.miss is not None else ""
+    failing = ", failures included" if each.miss is not None else ""
     printed = tables.printed_value(outputs.reference, each)
     if printed is not None:
         failing += f"; {outputs.reference.name}: {text(printed)}"
     return sentence(f"{each.phrase}, {where}: {' to '.join(said)}{failing}")
+
+
+def _first_measure(study: Any, cases: pd.DataFrame) -> Measure | None:
+    """Return the measure of the headline, or None for times of solvers."""
+    if study.kind == "problems":
+        default = "holdout-error" if is_predicted(cases) else ""
+    else:
+        default = "timescale-error" if in_flow(cases).any() else "called-ok"
+    name = study.definition.outputs.headline or default
+    return measure(name) if name else None
 
 
 def progress(study: Any, cases: pd.DataFrame) -> str:

@@ -37,6 +37,7 @@ def mean(values: Array) -> Array:
 
 SUMMARIES: dict[str, Statistic] = {
     "mean": mean,
+    "value": mean,  # of a single case
     "geometric mean": lambda values: np.exp(mean(np.log(np.maximum(values, TINY)))),
     "rms": lambda values: np.sqrt(mean(values**2)),
     "share": lambda values: 100.0 * mean(values),

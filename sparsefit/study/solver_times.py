@@ -9,9 +9,7 @@ Source: Dolan and More, Math. Program. 91 (2002) 201-213, for performance profil
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -98,66 +96,53 @@ def summary(cases: pd.DataFrame) -> Table:
     columns, rows = [*map(Column, ("objective", "solver", "verdict"))], dict[Row, list[Value]]()
     for level in levels:
         to = f"to {accuracy_text(level)}"
-        columns += [
-            Column("solved", group=to), Column("mean time", "ms", group=to, varies=True),
-            Column("× fastest", group=to, varies=True), Column("95 %", group=to, varies=True),
-        ]  # fmt: skip
+        timed = (("mean time", "ms"), ("× fastest", ""), ("95 %", ""))
+        columns += [Column("solved", group=to)]
+        columns += [Column(name, unit, group=to, varies=True) for name, unit in timed]
         for objective, seconds in times_to(cases, level).items():
-            charged = seconds.clip(upper=limit)
-            for place, name in enumerate(seconds):
-                own, solved = charged[name], np.isfinite(seconds[name])
-                middle, low, high = ratio(own.to_numpy(), charged.iloc[:, 0].to_numpy())
+            charged = seconds.clip(upper=limit).to_numpy().T
+            for place, (name, own) in enumerate(zip(seconds, charged, strict=True)):
+                solved = np.isfinite(seconds[name])
+                middle, low, high = ratio(own, charged[0])
                 is_sure = place > 0 and not math.isnan(low)
                 verdict = ("slower" if low > 1.0 else "tie") if is_sure else "too few problems"
                 if not place or not solved.any():
                     verdict = "fastest" if solved.any() else "solved none"
-                rows.setdefault((objective, str(name)), [verdict]).extend([
-                    f"{solved.sum()}/{len(own)}",
-                    1e3 * float(np.exp(np.log(own + SHIFT).mean()) - SHIFT),
-                    f"{'' if solved.all() else '≥ '}{significant(middle)}",
-                    f"{significant(low)} … {significant(high)}" if is_sure else "–",
-                ])  # fmt: skip
-            absent = cases[(cases["objective"] == objective) & (cases["status"] == "skipped")]
-            for name in absent["solver"].unique():
-                rows[objective, str(name)] = ["missing", *[None] * (4 * len(levels))]
+                mean = 1e3 * float(np.exp(np.log(own + SHIFT).mean()) - SHIFT)
+                times = f"{'' if solved.all() else '≥ '}{significant(middle)}"
+                ends = f"{significant(low)} … {significant(high)}" if is_sure else "–"
+                cells: list[Value] = [f"{solved.sum()}/{len(own)}", mean, times, ends]
+                rows.setdefault((objective, str(name)), [verdict]).extend(cells)
+    absent = cases.loc[cases["status"] == "skipped", ["objective", "solver"]]
+    for key in absent.itertuples(index=False, name=None):
+        rows.setdefault(key, ["missing", *[None] * (4 * len(levels))])
     note = (
         "solved: problems with a certified excess, relative to the objective at zero, within the "
         f"accuracy. mean time: geometric mean of wall times, shifted by {1e3 * SHIFT:g} ms; an "
         f"unsolved problem counts as the limit, {limit:g} s, and makes × fastest a lower bound (≥)."
         f" 95 %: interval of × fastest over problems. Verdict: to {accuracy_text(levels[0])}."
     )
-    every = [(*key, *cells) for key, cells in rows.items()]
+    order = list(dict.fromkeys(cases["objective"]))
+    every = [(*key, *rows[key]) for key in sorted(rows, key=lambda key: order.index(str(key[0])))]
     return Table("Solvers: success and time", tuple(columns), every, (note,))
 
 
-def failures(cases: pd.DataFrame) -> Table:
-    """Return the failures by solver, status and reason; numbers in a reason may differ."""
-    bad = cases[~cases["status"].isin(["ok", "skipped"])]
-    alike = bad["reason"].str.replace(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?", "#", regex=True)
-    rows: list[Row] = []
-    keys = [bad["objective"], bad["solver"], bad["status"], alike]
-    for key, here in bad.groupby(keys, sort=False):
-        names = list(here["problem"].unique())
-        words = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
-        rows.append((*map(str, key[:3]), len(here), words, str(here["reason"].iloc[0])))
-    rows.sort(key=lambda row: -int(row[3] or 0))
-    heads = ("objective", "solver", "status", "cases", "problems", "reason of the first")
-    return Table("Who failed where", tuple(map(Column, heads)), rows)
-
-
-def headline(cases: pd.DataFrame) -> Iterator[str]:
-    """Give a sentence per objective: the fastest solver to the strictest accuracy, and its lead."""
-    to, rows = accuracy_text(accuracies(cases)[-1]), summary(cases).rows
-    rivals = [row for row in rows if not str(row[1]).endswith(", certified")]  # timed with checks
-    for objective, group in itertools.groupby(rivals, key=lambda row: row[0]):
-        (_, first, verdict, solved, *_), *others = (tuple(map(str, row)) for row in group)
-        if verdict in ("missing", "solved none"):
-            yield f"{objective}: no solver solves a problem to a certified {to}."
+def headline(cases: pd.DataFrame) -> str:
+    """Return the fastest solvers to the strictest accuracy, and by how much, in a sentence."""
+    strictest, fastest = accuracies(cases)[-1], dict[str, list[str]]()
+    limit, leads, least = cases.attrs.get("limit", LIMIT), list[float](), ""
+    for objective, seconds in times_to(cases, strictest).items():
+        rivals = seconds[[name for name in seconds if not str(name).endswith(", certified")]]
+        first, *others = rivals
+        if not np.isfinite(rivals[first]).any():
+            fastest.setdefault("none", []).append(objective)
             continue
-        said = f"{objective}: {first} is fastest to a certified {to}"
-        said += f" and solves {solved.replace('/', ' of ')} problems"
-        for _, second, verdict, _, _, times, ends, *_ in others[:1]:
-            if verdict != "missing":
-                said += f"; {second} takes {times.replace('≥', 'at least')} times as long"
-                said += f" ({ends.replace('…', 'to')})" if ends != "–" else ""
-        yield f"{said}."
+        fastest.setdefault(str(first), []).append(objective)
+        for second in others[:1]:
+            charged = rivals[[second, first]].clip(upper=limit).to_numpy().T
+            leads.append(ratio(*charged)[0])
+            least = least if np.isfinite(rivals[second]).all() else "at least "
+    words = ", ".join(f"{solver} ({'; '.join(names)})" for solver, names in fastest.items())
+    ends = " to ".join(dict.fromkeys(map(significant, (min(leads), max(leads))))) if leads else ""
+    slower = f"; the second takes {least}{ends} times as long" if leads else ""
+    return f"Fastest to a certified {accuracy_text(strictest)}: {words}{slower}."

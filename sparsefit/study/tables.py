@@ -1,9 +1,8 @@
 """The tables of a study: measures of groups of cases.
 
 A table groups the cases by columns of the frame, a row per group, and summarises measures, a column
-each. Layouts differ in the measures: one per level of a factor (`protocols`), per status and error
-(`status`), per parameter (`coverage`). An entry of [outputs] is the name of a table of outputs.toml
-or of a function of the study's script, or a mapping of the fields of `Entry`.
+each. An entry of [outputs] is the name of a table of outputs.toml or of a function of the study's
+script, or a mapping of the fields of `Entry`.
 """
 
 from __future__ import annotations
@@ -14,25 +13,25 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.study import entries, measures, resampling, solver_times
-from sparsefit.study.columns import PARAMETERS, STATUSES
+from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
-from sparsefit.study.measures import MEASURES, SYMBOLS, UNITS, Measure, in_words
-from sparsefit.study.table import Column, Row, Table, Value, sentence
+from sparsefit.study.measures import MEASURES, SYMBOLS, Measure
+from sparsefit.study.table import Column, Row, Table, Value, listed
 from sparsefit.study.trials import unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-ROWS = ("condition", "title")
+FAILURES = "In a quantile, a failure counts as worse than any number; in a mean, as 100 %."
 
 
 class Part(NamedTuple):
     """A column of a table: the values (rows,) of all cases, and the measure that summarises them.
 
     each: the measure, or None for the number of cases with a true value.
-    interval: whether columns with the ends of a 95 % interval over flights follow.
+    interval: whether columns with the ends of a 95 % interval over units follow.
     """
 
     column: Column
@@ -40,96 +39,104 @@ class Part(NamedTuple):
     each: Measure | None = None
     interval: bool = False
 
+    def cells(self, cases: pd.DataFrame, places: IntArray) -> list[Value]:
+        """Return the summary of a group of cases, and the ends of its interval."""
+        here, each = self.values[places], self.each
+        if each is None:
+            return [int(here.sum())]
+        if not self.interval:
+            return [each.summary_of(here)]
+        grid = resampling.by_unit(here, cases["flight"].iloc[places])
+        if each.summary == "share" and grid.shape[1] == 1:
+            ends = resampling.wilson(np.nansum(here), (~np.isnan(here)).sum())
+        else:
+            ends = resampling.interval(resampling.pooled(each.reduce), grid)
+        return [each.summary_of(here), *ends]
+
 
 def column_of(each: Measure) -> Column:
     """Return the column of a measure, with the summary before its heading or above it."""
-    head, _, symbol = each.heading.rpartition(" ")
+    words, _, symbol = each.heading.rpartition(" ")
     if symbol not in SYMBOLS.values():
-        head, symbol = each.heading, ""
-    words = head if each.summary == "share" else f"{each.summary} {head}"
+        words, symbol = each.heading, ""
+    words = each.head + words
     name, group = (symbol, words) if symbol else (words, "")
     return Column(name, each.unit, each.format, group, each.least, each.varies)
 
 
-def name_columns(cases: pd.DataFrame, rows: Sequence[str]) -> list[str]:
-    """Return those of the columns that have several values, or the last one.
+def name_columns(entry: Entry, cases: pd.DataFrame) -> list[str]:
+    """Return the columns that define the rows: those with several values, a status, or the last.
+
+    By default they are condition and title, along a factor protocol and title. What the title
+    implies is left out.
 
     Raises:
         InputError: for a column that the cases do not have.
     """
+    rows = entry.rows or ("condition", "title")
+    if entry.along and not entry.rows:
+        rows = ("protocol", "title") if "protocol" in cases else ("title",)
     entries.check_columns(cases, rows, "rows")
-    several = [name for name in rows if cases[name].nunique(dropna=False) > 1]
-    return several or list(rows[-1:])
+    names = [name for name in rows if name == "status" or cases[name].nunique(dropna=False) > 1]
+    if "title" in names:
+        several = cases.groupby("title")[names].nunique(dropna=False).max() > 1
+        names = [name for name in names if name in ("title", "status") or several[name]]
+    return names or list(rows[-1:])
 
 
-def _counts(cases: pd.DataFrame) -> list[Part]:
-    """Return the columns with the numbers of planned, ok and unanswered cases."""
-    counted = {"n": np.ones(len(cases), dtype=bool), "ok": measures.ended(cases, "ok"),
-               "failures": ~measures.answered(cases)}  # fmt: skip
-    return [Part(Column(name, format="d"), mask.astype(float)) for name, mask in counted.items()]
-
-
-def summarised(entry: Entry, cases: pd.DataFrame, parts: Sequence[Part], names: Sequence[str] = (),
-               notes: Sequence[str] = ()) -> Table:  # fmt: skip
-    """Return a row per group of cases and a column per part that has a number of any case.
-
-    Args:
-        names: the columns that define the groups; by default those of the entry that vary.
-    """
-    parts = [part for part in parts if not part.each or not np.isnan(part.values).all()]
-    names = names or name_columns(cases, entry.rows or ROWS)
+def summarised(
+    entry: Entry, cases: pd.DataFrame, names: Sequence[str], parts: Sequence[Part], *notes: str
+) -> Table:
+    """Return a row per group of cases by `names`, and a column per part with any number."""
+    parts = [part for part in parts if not np.isnan(part.values).all()]
     columns = [*map(Column, names)]
     for part in parts:
         group = f"{part.column.group} {part.column.name}".strip()
         ends = ("from", "to") if part.interval else ()
         columns += [part.column, *(replace(part.column, name=end, group=group) for end in ends)]
-    rows: list[Row] = []
-    for key, places in entries.grouped(cases, names):
-        cells: list[Value] = []
-        for part in parts:
-            here, each = part.values[places], part.each
-            cells.append(each.summary_of(here) if each else int(here.sum()))
-            if each and part.interval:
-                grid = resampling.by_unit(here, cases["flight"].iloc[places])
-                if each.summary == "share" and grid.shape[1] == 1:
-                    cells += resampling.wilson(np.nansum(here), (~np.isnan(here)).sum())
-                else:
-                    cells += resampling.interval(resampling.pooled(each.reduce), grid)
-        rows.append((*map(level_text, key), *cells))
+    rows: list[Row] = [
+        (*map(level_text, key), *(cell for part in parts for cell in part.cells(cases, places)))
+        for key, places in entries.grouped(cases, names)
+    ]
     title = entry.title or entry.name.replace("-", " ").capitalize() or "Measures"
-    return Table(title, tuple(columns), rows, (*entry.notes, *filter(None, notes)))
+    measured = any(part.each for part in parts) or not entry.measures
+    return Table(title, tuple(columns), rows if measured else [], (*entry.notes, *notes))
+
+
+def _count(name: str, mask: BoolArray, group: str = "") -> Part:
+    """Return the column with the number of cases where the mask holds."""
+    return Part(Column(name, format="d", group=group), mask.astype(float))
 
 
 def settings(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return counts and measures by group, with intervals if the entry has them.
 
-    With `along`, each measure has a column per level of that factor.
+    With `along`, each measure has a column per level of that factor. Single cases have a status in
+    place of counts.
     """
-    every, title, names = entry.measures, entry.title, list(entry.rows or ROWS)
-    parts = [Part(column_of(each), each.values(cases), each, entry.interval) for each in every]
-    explained = [each for each in every if each.miss is not None or entry.along]
-    if entry.along:
+    names, parts = name_columns(entry, cases), list[Part]()
+    if "status" not in names:
+        parts += [
+            _count("n", np.ones(len(cases), dtype=bool)),
+            _count("ok", measures.ended(cases, "ok")),
+            _count("failures", ~measures.answered(cases)),
+        ]
+    for each in entry.measures:
+        column, values = column_of(each), each.values(cases)
+        if not entry.along:
+            parts.append(Part(column, values, each, entry.interval))
+            continue
         words, levels = entries.factor_words(entry.along), entries.levels_of(cases, entry.along)
-        several = len(every) > 1
-        parts = [
-            part._replace(
-                column=replace(part.column, name=level,
-                               group=f"{part.column.name}, {words}" if several else words),
-                values=measures.only((levels == level).to_numpy(), part.values))
-            for part in parts for level in levels.cat.categories
-        ]  # fmt: skip
-        what = "Measures" if several else sentence(every[0].phrase)[:-1]
-        title = title or f"{what} along {words}"
-        if not entry.rows:  # a title may have several protocols
-            names = [name for name in ("protocol", *ROWS[1:]) if name in cases]
-            is_unique = not cases[names].drop_duplicates()["title"].duplicated().any()
-            names = names[-1:] if is_unique else names
-    notes = [sentence(in_words(explained))]
+        group = f"{column.name}, {words}" if len(entry.measures) > 1 else words
+        for level in levels.cat.categories:
+            here = measures.only((levels == level).to_numpy(), values)
+            of_level = replace(column, name=level, group=group)
+            parts.append(Part(of_level, here, each, entry.interval))
+    notes = [FAILURES] if any(each.miss is not None for each in entry.measures) else []
     if entry.interval:
         drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole {unit_of(cases)}s"
         notes.append(f"{drawn}; a share of single cases: Wilson's.")
-    parts = [*_counts(cases), *parts]
-    return summarised(replace(entry, title=title), cases, parts, name_columns(cases, names), notes)
+    return summarised(entry, cases, names, parts, *notes)
 
 
 def status(entry: Entry, cases: pd.DataFrame) -> Table:
@@ -142,44 +149,46 @@ def status(entry: Entry, cases: pd.DataFrame) -> Table:
         truth[~measures.ended(cases, *STATUSES[:4])] = "all"
     else:
         entry = replace(entry, notes=())  # of errors
-    parts = [_counts(cases)[0]]
+    parts = [_count("n", np.ones(len(cases), dtype=bool))]
     for name in STATUSES:
         for fact in (near, "off", "no flow", "all"):
             both = measures.ended(cases, name) & (truth == fact)
-            parts += [Part(Column(fact, "", "d", name), both.astype(float))] if both.any() else []
-    return summarised(entry, cases, parts)
+            parts += [_count(fact, both, name)] if both.any() else []
+    return summarised(entry, cases, name_columns(entry, cases), parts)
 
 
 def coverage(entry: Entry, cases: pd.DataFrame) -> Table:
     """Return the share of 95 % intervals that contain the truth, a row per group and parameter."""
     shares = measures.of_parameters(cases)
     covered, halves = shares["coverage"].ravel(), shares["half-width"].ravel()
-    names = [*name_columns(cases, entry.rows or ROWS), "parameter"]
     each = cases.iloc[np.repeat(np.arange(len(cases)), 3)]
     each = each.assign(parameter=np.tile(list(SYMBOLS.values()), len(cases)))
-    with_interval = np.isfinite(covered).astype(float)
+    names = [*name_columns(entry, cases), "parameter"]
     parts = [
-        *_counts(each)[:2], Part(Column("with interval", format="d"), with_interval),
+        _count("n", np.ones(len(each), dtype=bool)),
+        _count("ok", measures.ended(each, "ok")),
+        _count("with interval", np.isfinite(covered)),
         Part(Column("coverage", "%", ".1f"), covered, MEASURES["hits"], interval=True),
         Part(Column("half-width", "%"), halves, MEASURES["length-scale-half-width"]),
-    ]  # fmt: skip
-    made = summarised(entry, each, parts, names)
+    ]
+    made = summarised(entry, each, names, parts)
     return replace(made, rows=[row for row in made.rows if row[len(names) + 2]])
 
 
-def single(entry: Entry, cases: pd.DataFrame) -> Table:
-    """Return status, truth, estimate and percentage error of every case."""
-    errors = measures.of_parameters(cases)["signed-error"]
-    values = {"true": measures.parameters(cases, "true"), "error": errors,
-              "estimated": measures.parameters(cases, "est")}  # fmt: skip
-    parts = [
-        Part(Column(SYMBOLS[name], "%" if group == "error" else UNITS[name], format, group),
-             values[group][:, place], MEASURES["seconds"])
-        for group, format in (("true", ".4g"), ("estimated", ".4g"), ("error", "+.2f"))
-        for place, name in enumerate(PARAMETERS)
-    ]  # fmt: skip
-    names = [*name_columns(cases, entry.rows or ("flight", *ROWS)), "status"]
-    return summarised(entry, cases, parts, names)
+def failures(cases: pd.DataFrame) -> pd.DataFrame:
+    """Return the cases that are not ok by candidate, status and reason but for its numbers."""
+    bad = cases[cases["status"] != "ok"]
+    alike = bad["reason"].str.replace(r"[-+]?\d[\d.,e+-]*", "#", regex=True)
+    groups = bad.groupby(["title", "status", alike], sort=False, dropna=False)
+    frame = groups.agg(
+        cases=("case_id", "size"),
+        where=("problem" if "problem" in bad else "unit", lambda units: listed(units, "and")),
+        first_case=("case_id", "first"),
+        reason_of_it=("reason", "first"),
+    )
+    frame = frame.droplevel(2).sort_values("cases", ascending=False, kind="stable")
+    frame.attrs["title"] = "Who failed where"
+    return frame
 
 
 LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
@@ -187,9 +196,8 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
     "protocols": settings,
     "status": status,
     "coverage": coverage,
-    "parameters": single,
     "solvers": lambda entry, cases: solver_times.summary(cases),
-    "failed": lambda entry, cases: solver_times.failures(cases),
+    "failed": lambda entry, cases: Table.of(failures(cases[cases["status"] != "skipped"])),
 }
 
 
@@ -206,11 +214,12 @@ def table(study: Any, entry: str | Options) -> Table:
 def tables(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Table]:
-    """Return tables by file name: those named, else those of [outputs], else all that apply."""
+    """Return tables by file name: those named, else those of [outputs], else what fits."""
     import pandas as pd
 
     outputs, every = study.definition.outputs, dict[str, Table]()
-    for name, entry in entries.asked(study, "table", LAYOUTS, names, cases):
+    wanted = names or outputs.tables or entries.defaults(study, cases, "tables")
+    for name, entry in entries.asked(study, "table", LAYOUTS, wanted):
         if not isinstance(entry, Entry):
             made = entry(cases, pd.DataFrame, Table)
             made = made if isinstance(made, Table) else Table.of(made)
@@ -218,8 +227,9 @@ def tables(
             every[name] = replace(made, title=title)
             continue
         made = LAYOUTS[entry.compare or "settings"](entry, cases)
-        printed: dict[str, Value] = {column_of(each).full: printed_value(outputs.reference, each)
-                                     for each in entry.measures}  # fmt: skip
+        printed: dict[str, Value] = {
+            column_of(each).full: printed_value(outputs.reference, each) for each in entry.measures
+        }
         if any(value is not None for value in printed.values()):
             printed |= {"n": outputs.reference.flights, made.heads[0]: outputs.reference.name}
             made = replace(made, rows=[tuple(map(printed.get, made.heads)), *made.rows])

@@ -111,6 +111,7 @@ RNG = np.random.default_rng(3)
 VALUES = RNG.exponential(2.0, (4, 9))
 PLAIN = {
     "mean": np.mean,
+    "value": np.mean,
     "geometric mean": lambda row: stats.gmean(np.maximum(row, resampling.TINY)),
     "rms": lambda row: math.sqrt(np.mean(row**2)),
     "share": lambda row: 100.0 * np.mean(row),
