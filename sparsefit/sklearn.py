@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import issparse
 
-from sparsefit.arrays import Array, BoolArray
+from sparsefit.arrays import Array
 from sparsefit.backends import BACKENDS, get, load, named
-from sparsefit.errors import InputError, MissingExtra, SparsefitError
+from sparsefit.errors import MissingExtra, SparsefitError
 from sparsefit.regression.backend import Backend, PenalisedBackend, unknown_setting
 from sparsefit.regression.fit import TOLERANCE
 from sparsefit.regression.fit import fit as certified
@@ -29,7 +29,7 @@ from sparsefit.regression.problem import RegressionProblem
 try:
     from sklearn.base import BaseEstimator, MultiOutputMixin, RegressorMixin
     from sklearn.exceptions import ConvergenceWarning
-    from sklearn.utils.validation import check_array, check_is_fitted, validate_data
+    from sklearn.utils.validation import check_is_fitted, validate_data
 except ImportError as error:
     raise MissingExtra("scikit-learn is missing: pip install 'sparsefit[sklearn]'") from error
 
@@ -93,40 +93,25 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         backend, least = self._backend(), 2 if self.fit_intercept else 1
         checks = {"accept_sparse": self._formats, "dtype": np.float64, "ensure_min_samples": least}
         design, target = validate_data(self, X, y, multi_output=True, y_numeric=True, **checks)
-        samples, columns = design.shape
-        weight = np.ones(samples)
-        if sample_weight is not None:
-            weight = check_array(
-                sample_weight, ensure_2d=False, dtype=np.float64, input_name="sample_weight"
-            )
-            if weight.shape != (samples,) or np.any(weight < 0) or not weight.any():
-                words = f"sample_weight must have {samples} numbers, none negative and not all zero"
-                raise InputError(f"{words}, not the shape {weight.shape}")
-        counted = weight > 0
-        weight, design = weight[counted], design[counted]
-        values = target.astype(np.float64).reshape(samples, -1)[counted]
-        varies = _varying(design, centred=self.fit_intercept)
-        names = getattr(self, "feature_names_in_", [f"x{i}" for i in range(columns)])
-        mean, unit = np.zeros(columns), float(np.sqrt(weight.mean()))
-        if issparse(design):  # it stays as it is: its means are in its sums
-            design = design if unit == 1.0 else cast(Any, design) * unit
-        else:  # an offset would cost digits
-            if self.fit_intercept:
-                mean = np.average(design, axis=0, weights=weight)
-            design = (design - mean) * (unit * varies)
+        offset = np.zeros(design.shape[1])
+        if self.fit_intercept and not issparse(design):  # whose digits it would cost
+            offset = np.asarray(design).mean(axis=0)
+            design = design - offset
+        names = getattr(self, "feature_names_in_", None)
         problem = RegressionProblem.from_arrays(
-            *(design, values * unit, self.groups, list(names)),
-            sample_weight=None if sample_weight is None else weight,
+            *(design, target, self.groups, names), sample_weight=sample_weight,
             intercept=self.fit_intercept, partial=True,
         )  # fmt: skip
+        if not problem.design.squares.any():
+            raise FitFailed("every column of X is constant: there is nothing to choose from")
         fitted = certified(problem, backend, tolerance=self.certificate_tolerance)
         if not np.isfinite(fitted.weights).all():
             raise FitFailed(f"{backend.name} has no answer, {fitted.status}: {fitted.reason}")
         if fitted.status != "ok":
             words = f"{backend.name} is not certified, {fitted.status}: {fitted.reason}"
             warnings.warn(words, ConvergenceWarning, stacklevel=2)
-        coefficients = fitted.weights.T * varies
-        intercept = fitted.intercept / unit - coefficients @ mean
+        coefficients = fitted.weights.T
+        intercept = fitted.intercept - coefficients @ offset
         self.coef_ = coefficients if target.ndim == 2 else coefficients[0]
         self.intercept_ = intercept if target.ndim == 2 else float(intercept[0])
         self.status_, self.reason_ = fitted.status, fitted.reason
@@ -155,18 +140,6 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
 
     def _backend(self) -> Backend:
         return named(self.backend)
-
-
-def _varying(design: Any, *, centred: bool) -> BoolArray:
-    """The columns (k,) that vary, or are not zero where nothing is centred; some do."""
-    low, high = design.min(axis=0), design.max(axis=0)
-    if issparse(design):
-        low, high = low.toarray().ravel(), high.toarray().ravel()
-    limit = 16.0 * np.finfo(float).eps * np.maximum(np.abs(low), np.abs(high))  # by rounding
-    varies: BoolArray = (high - low > limit) if centred else (low != 0) | (high != 0)
-    if not varies.any():
-        raise FitFailed("every column of X is constant: there is nothing to choose from")
-    return varies
 
 
 class _Named(SparseRegressor):

@@ -75,7 +75,7 @@ class Adjustment:
                 weight = np.zeros(0)
             usable = weight.shape == (len(target),) and np.isfinite(weight).all()
             if not usable or weight.min() < 0 or not weight.any():
-                words = f"sample_weight must have {len(target)} numbers >= 0 that are not all 0"
+                words = f"sample_weight must have {len(target)} numbers >= 0 that are not all zero"
                 raise InputError(words)
             roots = np.sqrt(weight / weight.mean())
             target = target * roots[:, None]
@@ -314,6 +314,7 @@ class RegressionProblem(Brief):
         leading = np.empty((rank, self.columns))
         leading[:, order] = triangle[:rank]
         left, singular_values, right = np.linalg.svd(leading, full_matrices=False)
+        right[:, self.design.squares == 0.0] = 0.0  # of columns of zeros, to the bit
         projected = left.T @ turned[:, :rank].T
         return Spectrum(singular_values, right, projected, perf_counter() - start)
 
