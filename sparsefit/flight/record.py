@@ -70,6 +70,9 @@ class Flight(Brief):
     def __post_init__(self) -> None:
         """Check every field and freeze the arrays."""
         names = ("time", "position", "velocity", *(() if self.thrust is None else ("thrust",)))
+        if self.velocity is None:
+            words = "sf.Flight.from_positions(time, position, vehicle)"
+            raise InputError(f"velocity is None: a log of positions only is {words}")
         for name in names:
             store(self, frozen, ("m",) if name == "time" else ("m", 2), name)
             values = getattr(self, name)

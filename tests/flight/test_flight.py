@@ -78,6 +78,7 @@ GOOD = {
     ("kind", "changes", "message"),
     [
         *((Flight, changes, message) for changes, message in [
+            ({"velocity": None}, "a log of positions only is sf.Flight.from_positions"),
             ({"time": TIME[[0, 2, 1, 3]]}, rf"^time runs backwards: {BACKWARDS} begins$"),
             ({"time": TIME[[0, 1, 1, 2]]}, r"stands still: row 2 \(t=0\.1\) follows t=0\.1"),
             ({"time": [0.0, 0.1, 0.2, math.nan]}, "time must be finite: row 3 is nan"),
