@@ -25,7 +25,7 @@ import numpy as np
 from sparsefit.errors import InputError
 from sparsefit.likelihood.causes import ALIKE, BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
 from sparsefit.likelihood.gains import Gain, chance_of, gains_of
-from sparsefit.likelihood.model import SLOWEST, Model, Process
+from sparsefit.likelihood.model import LEVELS, SLOWEST, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, measure
@@ -37,6 +37,7 @@ ROUNDS = 4  # departures that are freed one after another, at most
 CLEAR = 8.0  # times a second-order gain: a fit that gained more ends the search
 CALMER = 0.5  # the least gain of a cause beside a process, over that of the process
 TUNED = 3.0  # the factor between the rates of a process that are tried
+BESIDE = 0.1  # the share of white process noise that a search keeps beside a new process
 PASSES = 15  # of a search over all rows
 LAST = 60  # passes towards an answer that has not converged
 HINT = 0.1  # the p-value below which a cause that is not significant widens the intervals
@@ -341,17 +342,17 @@ def fitted(
 ) -> Posterior | None:
     """The posterior of models of logs, all their levels estimated.
 
-    start: a nearby optimum whose tracks and levels are the start; without one the levels of
-    the sensors start from the logs' own noise; passes: over all rows at most.
+    start: a nearby optimum whose tracks and levels are the start. Without one, or with a process
+    that it has not, the levels of the sensors start from the logs' own noise: white process noise
+    in place of a coloured one takes their share too. passes: over all rows at most.
     """
     starts = list(models)
-    if start is None:
+    processes = 0 if start is None else len(start.model.disturbance.processes)
+    if start is None or len(starts[0].disturbance.processes) > processes:
         for number, (log, model) in enumerate(zip(logs, starts, strict=True)):
-            places, speeds = log.noise
-            fresh = replace(
-                model.disturbance, acceleration=0.0, position_noise=places, velocity_noise=speeds
-            )
-            starts[number] = replace(model, disturbance=fresh)
+            levels = dict(zip(LEVELS[1:], log.noise, strict=True))
+            levels[LEVELS[0]] = BESIDE * model.disturbance.acceleration
+            starts[number] = replace(model, disturbance=model.disturbance.at(levels))
     try:
         return measure(logs, starts, start, passes)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
