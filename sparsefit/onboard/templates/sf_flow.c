@@ -1,6 +1,4 @@
-/*
- * sf_flow.c - the search and the filters of sf_flow.h. No heap, no recursion, every loop bounded.
- */
+/* sf_flow.c - the search and the filters of sf_flow.h. No heap, no recursion, all loops bounded. */
 #include "sf_flow.h"
 
 #include <string.h>
@@ -50,8 +48,7 @@ static int within(sf_real value, sf_real low, sf_real high)
 static sf_real dot(uint32_t n, const sf_real *a, const sf_real *b)
 {
     sf_real sum = 0;
-    uint32_t i;
-    for (i = 0; i < n; i++) {
+    for (uint32_t i = 0; i < n; i++) {
         sum += a[i] * b[i];
     }
     return sum;
@@ -60,61 +57,53 @@ static sf_real dot(uint32_t n, const sf_real *a, const sf_real *b)
 /* a += c b. */
 static void add(uint32_t n, sf_real *a, sf_real c, const sf_real *b)
 {
-    uint32_t i;
-    for (i = 0; i < n; i++) {
+    for (uint32_t i = 0; i < n; i++) {
         a[i] += c * b[i];
     }
 }
 
-/* P becomes T P T'. T is the identity but for some rows t, from the first on. */
+/* P becomes T P T', where T is the identity except for so many rows t, from `first` on. */
 static void carry(sf_real p[N][N], sf_real t[][N], uint32_t first, uint32_t rows)
 {
-    sf_real tp[N][N];
-    uint32_t i, j;
-    memset(tp, 0, sizeof tp);
-    for (i = 0; i < rows; i++) {
-        for (j = 0; j < N; j++) {
+    sf_real tp[N][N] = {{0}};
+    for (uint32_t i = 0; i < rows; i++) {
+        for (uint32_t j = 0; j < N; j++) {
             add(N, tp[i], t[i][j], p[j]);
         }
     }
-    for (i = 0; i < rows; i++) {
-        for (j = 0; j < N; j++) {
+    for (uint32_t i = 0; i < rows; i++) {
+        for (uint32_t j = 0; j < N; j++) {
             const int other = (j < first) || (j >= first + rows);
             p[first + i][j] = p[j][first + i] = other ? tp[i][j] : dot(N, tp[i], t[j - first]);
         }
     }
 }
 
-/* The variance h'P h of a quantity with the gradient h by n states from the first on, and P h. */
+/* The variance h'P h of a quantity with the gradient h by n states from `first` on, and P h. */
 static sf_real variance_of(const sf_filter *filter, uint32_t first, uint32_t n, const sf_real *h,
                            sf_real ph[N])
 {
-    uint32_t i;
     memset(ph, 0, sizeof(sf_real[N]));
-    for (i = 0; i < n; i++) {
+    for (uint32_t i = 0; i < n; i++) {
         add(N, ph, h[i], filter->covariance[first + i]);
     }
     return dot(n, h, ph + first);
 }
 
-/*
- * Condition on a reading of this quantity: its innovation and the variance of its noise. Returned
- * is the normalised innovation; an outlier changes the log-likelihood alone.
- */
+/* Update by a reading of the quantity, or leave an outlier out; the normalised innovation. */
 static sf_real correct(sf_filter *filter, uint32_t first, uint32_t n, const sf_real *h,
                        sf_real innovation, sf_real variance)
 {
     sf_real ph[N], gain[N] = {0};
     const sf_real deviation = sqrt(variance_of(filter, first, n, h, ph) + variance);
     const sf_real unit = innovation / deviation;
-    uint32_t i;
     filter->log_likelihood -= log(deviation) + fmin(unit * unit, GATE) / 2;
     if (!(unit * unit < GATE)) {
         return copysign(sqrt(GATE), unit);
     }
     add(N, gain, 1 / deviation, ph);
     add(N, filter->state, unit, gain);
-    for (i = 0; i < N; i++) {
+    for (uint32_t i = 0; i < N; i++) {
         add(N, filter->covariance[i], -gain[i], gain);
     }
     return unit;
@@ -123,27 +112,25 @@ static sf_real correct(sf_filter *filter, uint32_t first, uint32_t n, const sf_r
 /* ---- the flow: a, b, a, b, kx, ky ----------------------------------------------------------- */
 
 /*
- * w [m/s] at a place [m] from where phases count; by, where it is wanted: its gradient by x, y, a,
- * b, a, b, kx, ky. The second wave is the first one turned by a right angle: its phase is
- * k . (y, -x).
+ * w [m/s] at a place [m] from where phases count, and if wanted its gradient by x, y and by p. The
+ * second wave is the first one turned by a right angle: its phase is k . (y, -x).
  */
 static void waves(const sf_real *p, const sf_real place[2], sf_real w[2], sf_real (*by)[2u + M])
 {
     const sf_real turned[2][2] = {{place[0], place[1]}, {place[1], -place[0]}};
     const sf_real normal[2][2] = {{p[5], -p[4]}, {p[4], p[5]}};
     sf_real c[2], s[2], slope[2];
-    uint32_t j, r;
-    for (j = 0; j < 2u; j++) {
+    for (uint32_t j = 0; j < 2u; j++) {
         const sf_real phase = dot(2, p + 4, turned[j]);
         c[j] = cos(phase);
         s[j] = sin(phase);
         slope[j] = p[2u * j + 1u] * c[j] - p[2u * j] * s[j];
     }
-    for (r = 0; r < 2u; r++) {
+    for (uint32_t r = 0; r < 2u; r++) {
         w[r] = normal[0][r] * slope[0] + normal[1][r] * slope[1];
         if (by != NULL) {
             memset(by[r], 0, sizeof by[r]);
-            for (j = 0; j < 2u; j++) {
+            for (uint32_t j = 0; j < 2u; j++) {
                 const sf_real across = normal[j][r];
                 const sf_real pull = -across * (p[2u * j] * c[j] + p[2u * j + 1u] * s[j]);
                 by[r][0] -= pull * normal[j][1];
@@ -158,7 +145,7 @@ static void waves(const sf_real *p, const sf_real place[2], sf_real w[2], sf_rea
     }
 }
 
-/* An angle less the nearest multiple of a right one. */
+/* An angle reduced by the nearest multiple of a right angle. */
 static sf_real turned(sf_real angle)
 {
     return angle - PI / 2 * floor(angle / (PI / 2) + R(0.5));
@@ -166,10 +153,7 @@ static sf_real turned(sf_real angle)
 
 static sf_real speed_of(const sf_real *p) { return sqrt(dot(2, p + 4, p + 4) * dot(4, p, p)); }
 
-/*
- * U0, L, L/U0, the heading, and half the logarithm of the ratio of the waves' squared amplitudes,
- * with their gradients by p.
- */
+/* U0, L, L/U0, the heading and log(second/first amplitude) of a flow p, and their gradients. */
 static void features(const sf_real *p, sf_real value[FEATURES], sf_real by[FEATURES][M])
 {
     const sf_real k = dot(2, p + 4, p + 4), speed = speed_of(p), length = sqrt(2 / k) * PI;
@@ -193,23 +177,21 @@ static void features(const sf_real *p, sf_real value[FEATURES], sf_real by[FEATU
 
 /* ---- the filters ---------------------------------------------------------------------------- */
 
-/* Rates of v, u and x in a state under a thrust; by, where it is wanted: their gradient. */
+/* The rates of v, u and x in a state under a thrust, and if wanted their gradient by the state. */
 static void motion(const sf_config *vehicle, const sf_real *z, const sf_real push[2],
                    sf_real rate[FLOW], sf_real (*by)[N])
 {
-    sf_real w[2], by_flow[2][2u + M], relative[2], speed, own, bend;
-    uint32_t r, i;
+    sf_real w[2], by_flow[2][2u + M];
     waves(z + FLOW, z + X, w, by == NULL ? NULL : by_flow);
-    relative[0] = w[0] + z[UX] - z[VX];
-    relative[1] = w[1] + z[UY] - z[VY];
-    speed = sqrt(dot(2, relative, relative));
-    own = 1 / vehicle->response_time + vehicle->drag_coefficient * speed;
-    bend = speed > 0 ? vehicle->drag_coefficient / speed : 0;
-    for (r = 0; r < 2u; r++) {
+    const sf_real relative[2] = {w[0] + z[UX] - z[VX], w[1] + z[UY] - z[VY]};
+    const sf_real speed = sqrt(dot(2, relative, relative));
+    const sf_real own = 1 / vehicle->response_time + vehicle->drag_coefficient * speed;
+    const sf_real bend = speed > 0 ? vehicle->drag_coefficient / speed : 0;
+    for (uint32_t r = 0; r < 2u; r++) {
         rate[VX + r] = own * relative[r] + push[r];
         rate[UX + r] = 0; /* the decay is added in closed form */
         rate[X + r] = z[VX + r];
-        for (i = 0; (i < 2u) && (by != NULL); i++) { /* by a component of the relative wind */
+        for (uint32_t i = 0; (i < 2u) && (by != NULL); i++) { /* of the relative wind */
             const sf_real slope = (r == i ? own : 0) + bend * relative[r] * relative[i];
             by[VX + r][VX + i] = -slope;
             by[VX + r][UX + i] = slope;
@@ -220,109 +202,91 @@ static void motion(const sf_config *vehicle, const sf_real *z, const sf_real pus
     }
 }
 
-/* A filter h seconds later, under a thrust and a disturbance of a level [m/s]. */
+/* Advance a filter by h seconds, under a thrust and a disturbance of this rms [m/s]. */
 static void predict(const sf_config *vehicle, sf_filter *filter, sf_real h, const sf_real push[2],
                     sf_real level)
 {
     static const sf_real AHEAD[4] = {R(0.5), R(0.5), R(1), R(0)}; /* Runge and Kutta */
     static const sf_real WEIGHT[4] = {R(1), R(2), R(2), R(1)};
     const sf_real decay = exp(-RATE * h);
-    sf_real z[N], sum[FLOW] = {0}, rate[FLOW], by[FLOW][N], t[FLOW][N];
-    uint32_t i, j, r;
-    memset(by, 0, sizeof by);
-    memset(t, 0, sizeof t);
+    sf_real z[N], sum[FLOW] = {0}, rate[FLOW], by[FLOW][N] = {{0}}, t[FLOW][N] = {{0}};
     memcpy(z, filter->state, sizeof z);
-    for (i = 0; i < 4u; i++) {
+    for (uint32_t i = 0; i < 4u; i++) {
         motion(vehicle, z, push, rate, i == 2u ? by : NULL); /* the gradient in mid-step */
         memcpy(z, filter->state, sizeof z);
         add(FLOW, z, AHEAD[i] * h, rate);
         add(FLOW, sum, WEIGHT[i], rate);
     }
     add(FLOW, filter->state, h / 6, sum);
-    for (r = 0; r < FLOW; r++) { /* the transition, to the second order in h */
+    for (uint32_t r = 0; r < FLOW; r++) { /* the transition, to the second order in h */
         t[r][r] = 1;
         add(N, t[r], h, by[r]);
-        for (j = 0; j < FLOW; j++) {
+        for (uint32_t j = 0; j < FLOW; j++) {
             add(N, t[r], h * h / 2 * by[r][j], by[j]);
         }
     }
     t[UX][UX] = t[UY][UY] = decay;
     carry(filter->covariance, t, 0, FLOW);
-    for (r = UX; r <= UY; r++) {
+    for (uint32_t r = UX; r <= UY; r++) {
         filter->state[r] *= decay;
         filter->covariance[r][r] += square(level) * (1 - decay * decay);
     }
 }
 
-/* Count position and phases of a filter from another anchor, d away. */
-static void rebase(sf_filter *filter, const sf_real d[2])
+/* Move the anchor, from which all filters count positions and phases. */
+static void rebase(sf_flow *flow, const sf_real anchor[2])
 {
+    const sf_real d[2] = {anchor[0] - flow->anchor[0], anchor[1] - flow->anchor[1]};
     const sf_real by[2][2] = {{d[0], d[1]}, {d[1], -d[0]}};
-    sf_real *p = filter->state + FLOW;
-    sf_real t[4][N];
-    uint32_t a;
-    memset(t, 0, sizeof t);
-    for (a = 0; a < 4u; a += 2u) {
-        const sf_real *place = by[a / 2u];
-        const sf_real turn = dot(2, p + 4, place), c = cos(turn), s = sin(turn);
-        const sf_real new_a = c * p[a] + s * p[a + 1u];
-        p[a + 1u] = c * p[a + 1u] - s * p[a];
-        p[a] = new_a;
-        t[a][FLOW + a] = t[a + 1u][FLOW + a + 1u] = c;
-        t[a][FLOW + a + 1u] = s;
-        t[a + 1u][FLOW + a] = -s;
-        add(2, t[a] + FLOW + 4, p[a + 1u], place);
-        add(2, t[a + 1u] + FLOW + 4, -p[a], place);
+    for (uint32_t level = 0; level < SF_LEVELS; level++) {
+        sf_filter *filter = &flow->filter[level];
+        sf_real *p = filter->state + FLOW;
+        sf_real t[4][N] = {{0}};
+        for (uint32_t a = 0; a < 4u; a += 2u) {
+            const sf_real *place = by[a / 2u];
+            const sf_real turn = dot(2, p + 4, place), c = cos(turn), s = sin(turn);
+            const sf_real new_a = c * p[a] + s * p[a + 1u];
+            p[a + 1u] = c * p[a + 1u] - s * p[a];
+            p[a] = new_a;
+            t[a][FLOW + a] = t[a + 1u][FLOW + a + 1u] = c;
+            t[a][FLOW + a + 1u] = s;
+            t[a + 1u][FLOW + a] = -s;
+            add(2, t[a] + FLOW + 4, p[a + 1u], place);
+            add(2, t[a + 1u] + FLOW + 4, -p[a], place);
+        }
+        carry(filter->covariance, t, FLOW, 4);
+        add(2, filter->state + X, -1, d);
     }
-    carry(filter->covariance, t, FLOW, 4);
-    add(2, filter->state + X, -1, d);
+    memcpy(flow->anchor, anchor, sizeof flow->anchor);
 }
 
-/* The filters restart at a measured z, away from their anchor: the flow stays, the gust is lost. */
-static void settle(sf_flow *flow, const sf_real away[2], const sf_real z[4])
+/* Restart the motion of all filters at a measured sample; their estimates of the flow stay. */
+static void settle(sf_flow *flow, const sf_real z[4])
 {
-    uint32_t level, i, j;
-    for (level = 0; level < SF_LEVELS; level++) {
+    for (uint32_t level = 0; level < SF_LEVELS; level++) {
         sf_filter *filter = &flow->filter[level];
         const sf_real gust = square(LEVEL[level] * speed_of(filter->state + FLOW));
-        const sf_real state[FLOW] = {z[2], z[3], 0, 0, away[0], away[1]};
+        const sf_real state[FLOW] = {z[2], z[3], 0, 0, z[0] - flow->anchor[0],
+                                     z[1] - flow->anchor[1]};
         const sf_real variance[3] = {flow->noise[1], gust, flow->noise[0]};
         memcpy(filter->state, state, sizeof state);
-        for (i = 0; i < FLOW; i++) {
-            for (j = 0; j < N; j++) {
+        for (uint32_t i = 0; i < FLOW; i++) {
+            for (uint32_t j = 0; j < N; j++) {
                 filter->covariance[i][j] = filter->covariance[j][i] = 0;
             }
             filter->covariance[i][i] = variance[i / 2u];
         }
-        rebase(filter, away);
     }
-    memcpy(flow->anchor, z, sizeof flow->anchor);
+    rebase(flow, z);
 }
 
 static const sf_filter *likeliest(const sf_flow *flow)
 {
     const sf_filter *best = &flow->filter[0];
-    uint32_t i;
-    for (i = 1; i < SF_LEVELS; i++) {
+    for (uint32_t i = 1; i < SF_LEVELS; i++) {
         best = flow->filter[i].log_likelihood > best->log_likelihood ? &flow->filter[i] : best;
     }
     return best;
-}
-
-/* The uncertainty of the flow's parameters grows: they walk, and samples fade with a memory. */
-static void forget(const sf_config *config, sf_filter *filter, sf_real h)
-{
-    const sf_real *p = filter->state + FLOW;
-    const sf_real grow = config->memory > 0 ? exp(h / config->memory / 2) : 1;
-    const sf_real walk[2] = {square(WALK_A) / 2 * dot(4, p, p), square(WALK_K) * dot(2, p + 4, p + 4)};
-    uint32_t i, j;
-    for (i = FLOW; i < N; i++) {
-        for (j = 0; j < N; j++) {
-            filter->covariance[i][j] *= grow;
-            filter->covariance[j][i] *= grow;
-        }
-        filter->covariance[i][i] += h * walk[i < FLOW + 4u ? 0 : 1];
-    }
 }
 
 static void forget_rows(sf_flow *flow)
@@ -336,7 +300,7 @@ static void forget_rows(sf_flow *flow)
 static void follow(sf_flow *flow, const sf_real z[4], sf_real h, const sf_real push[2])
 {
     static const uint32_t PLACE[4] = {X, Y, VX, VY};
-    static const sf_real ITSELF = 1;
+    static const sf_real ITSELF = 1; /* the gradient of a state by itself */
     const sf_real speed = speed_of(likeliest(flow)->state + FLOW);
     const sf_real rate = 1 / flow->config.response_time + 2 * flow->config.drag_coefficient * speed;
     const sf_real parts = 1 + floor(fmin(2 * h * rate, R(15)));
@@ -344,17 +308,17 @@ static void follow(sf_flow *flow, const sf_real z[4], sf_real h, const sf_real p
     const sf_real fade = 1 / (2 + fmin(flow->age, HORIZON));
     const sf_real away[2] = {z[0] - flow->anchor[0], z[1] - flow->anchor[1]};
     const sf_real measured[4] = {away[0], away[1], z[2], z[3]};
-    const int far = dot(2, away, away) > square(flow->config.lower / 2);
+    const sf_real memory = flow->config.memory, grow = memory > 0 ? exp(h / memory / 2) : 1;
     sf_real least = R(HUGE_VAL);
-    uint32_t level, i;
-    for (level = 0; level < SF_LEVELS; level++) {
+    for (uint32_t level = 0; level < SF_LEVELS; level++) {
         sf_filter *filter = &flow->filter[level];
+        const sf_real *p = filter->state + FLOW;
         sf_real unit[4];
-        for (i = 0; R(i) < parts; i++) {
+        for (uint32_t i = 0; R(i) < parts; i++) {
             predict(&flow->config, filter, h / parts, push, LEVEL[level] * speed);
         }
         filter->log_likelihood *= FADE;
-        for (i = 0; i < 4u; i++) {
+        for (uint32_t i = 0; i < 4u; i++) {
             unit[i] = correct(filter, PLACE[i], 1, &ITSELF, measured[i] - filter->state[PLACE[i]],
                               flow->noise[i / 2u] * anneal);
         }
@@ -362,13 +326,17 @@ static void follow(sf_flow *flow, const sf_real z[4], sf_real h, const sf_real p
         filter->product += fade * (dot(4, unit, filter->last) / 4 - filter->product);
         memcpy(filter->last, unit, sizeof unit);
         least = fmin(least, filter->square);
-        forget(&flow->config, filter, h);
-        if (far) {
-            rebase(filter, away);
+        for (uint32_t i = FLOW; i < N; i++) { /* the flow walks, and samples fade with a memory */
+            for (uint32_t j = 0; j < N; j++) {
+                filter->covariance[i][j] *= grow;
+                filter->covariance[j][i] *= grow;
+            }
+            filter->covariance[i][i] += h * (i < FLOW + 4u ? square(WALK_A) / 2 * dot(4, p, p)
+                                                           : square(WALK_K) * dot(2, p + 4, p + 4));
         }
     }
-    if (far) {
-        memcpy(flow->anchor, z, sizeof flow->anchor);
+    if (dot(2, away, away) > square(flow->config.lower / 2)) {
+        rebase(flow, z);
     }
     flow->age += 1;
     if ((flow->age > R(150)) &&
@@ -383,28 +351,24 @@ static void follow(sf_flow *flow, const sf_real z[4], sf_real h, const sf_real p
 /* Add a sample to the block; when it is long enough, its mean and slope become a row. */
 static void take_row(sf_flow *flow, const sf_real z[4], sf_real h, const sf_real push[2])
 {
-    sf_real *b = flow->block; /* n, t, tt, x, y, vx, vy, ax, ay, t vx, t vy */
+    sf_real *b = flow->block;
     sf_real *row = flow->rows[flow->row_place];
     const sf_real rate = 1 / flow->config.response_time, t = b[0] > 0 ? flow->block_time + h : 0;
-    sf_real mean[6] = {0}, force[2], moved, reach;
-    uint32_t j;
+    sf_real mean[6] = {0}, force[2];
+    const sf_real sample[11] = {1, t, t * t, z[0], z[1], z[2], z[3], push[0], push[1],
+                                t * z[2], t * z[3]};
     flow->block_time = t;
-    b[0] += 1;
-    b[1] += t;
-    b[2] += t * t;
-    add(4, b + 3, 1, z);
-    add(2, b + 7, 1, push);
-    add(2, b + 9, t, z + 2);
+    add(11, b, 1, sample);
     add(6, mean, 1 / b[0], b + 3);
-    moved = t * sqrt(dot(2, mean + 2, mean + 2));
+    const sf_real moved = t * sqrt(dot(2, mean + 2, mean + 2));
     if ((b[0] < 4) || ((moved < flow->config.lower / 4) && (b[0] < BLOCK_MOST))) {
         return;
     }
-    for (j = 0; j < 2u; j++) { /* v' less the thrust */
+    for (uint32_t j = 0; j < 2u; j++) { /* v' less the thrust */
         force[j] = (b[9u + j] - b[1] * mean[2u + j]) / (b[2] - b[1] * b[1] / b[0]) - mean[4u + j];
     }
-    reach = sqrt(dot(2, force, force));
-    reach = rate + sqrt(rate * rate + 4 * flow->config.drag_coefficient * reach);
+    const sf_real pull = 4 * flow->config.drag_coefficient * sqrt(dot(2, force, force));
+    const sf_real reach = rate + sqrt(rate * rate + pull);
     memcpy(row, mean, sizeof flow->rows[0]);
     add(2, row + 2, reach > 0 ? 2 / reach : 0, force);
     memset(flow->block, 0, sizeof flow->block);
@@ -420,19 +384,18 @@ static void take_row(sf_flow *flow, const sf_real z[4], sf_real h, const sf_real
     }
 }
 
-/* Fit a candidate's waves to the rows by least squares, with a little ridge. */
+/* Fit a candidate's waves to the rows by least squares, with a ridge of 1 %. */
 static void fit(const sf_flow *flow, sf_peak *peak)
 {
     const sf_real size = peak->size;
     sf_real *p = peak->waves;
-    uint32_t wave, i;
     peak->score = 0;
     p[4] = size * cos(peak->angle);
     p[5] = size * sin(peak->angle);
-    for (wave = 0; wave < 2u; wave++) {
+    for (uint32_t wave = 0; wave < 2u; wave++) {
         const sf_real k = wave ? -p[5] : p[4], l = wave ? p[4] : p[5];
-        sf_real *a = p + 2u * wave, ss = 0, sc = 0, cc = 0, sw = 0, cw = 0, determinant;
-        for (i = 0; i < flow->row_count; i++) {
+        sf_real *a = p + 2u * wave, ss = 0, sc = 0, cc = 0, sw = 0, cw = 0;
+        for (uint32_t i = 0; i < flow->row_count; i++) {
             const sf_real *row = flow->rows[i];
             const sf_real phase = k * (row[0] - flow->middle[0]) + l * (row[1] - flow->middle[1]);
             const sf_real s = -size * sin(phase), c = size * cos(phase);
@@ -443,33 +406,14 @@ static void fit(const sf_flow *flow, sf_peak *peak)
             sw += s * along;
             cw += c * along;
         }
-        determinant = ss * cc - sc * sc;
+        const sf_real determinant = ss * cc - sc * sc;
         a[0] = (cc * sw - sc * cw) / determinant;
         a[1] = (ss * cw - sc * sw) / determinant;
         peak->score += (a[0] * sw + a[1] * cw) / flow->total;
     }
 }
 
-/* Keep a candidate that is the best of its lobe and among the best of all. */
-static void keep(sf_flow *flow, const sf_peak *candidate)
-{
-    uint32_t place = 0, i;
-    for (i = 1; i < SF_PEAKS; i++) {
-        place = flow->peak[i].score < flow->peak[place].score ? i : place;
-    }
-    for (i = 0; i < SF_PEAKS; i++) {
-        const sf_real radial = candidate->size - flow->peak[i].size;
-        const sf_real across = turned(candidate->angle - flow->peak[i].angle) * candidate->size;
-        if (square(radial) + square(across) < square(R(2.6) * flow->spacing)) {
-            place = i;
-        }
-    }
-    if (candidate->score > flow->peak[place].score) {
-        flow->peak[place] = *candidate;
-    }
-}
-
-/* Evaluate the next candidate; 0 where the sweep is at its end. */
+/* Evaluate the next candidate and keep it if it is among the best; 0 at the end of the sweep. */
 static int look(sf_flow *flow)
 {
     const int any = flow->config.any_heading != 0u;
@@ -477,25 +421,33 @@ static int look(sf_flow *flow)
     const sf_real size = around / flow->config.upper + step * R(flow->radius);
     const uint32_t turns = any ? (uint32_t)ceil(PI / 2 * size / step) : 1u;
     sf_peak candidate = {0, size, PI / 4 + PI / 2 * R(flow->turn) / R(turns), {0}};
+    uint32_t place = 0; /* that of the candidate of the same lobe, or else of the worst */
     if (size > around / flow->config.lower + step) {
         return 0;
     }
     fit(flow, &candidate);
-    keep(flow, &candidate);
+    for (uint32_t i = 1; i < SF_PEAKS; i++) {
+        place = flow->peak[i].score < flow->peak[place].score ? i : place;
+    }
+    for (uint32_t i = 0; i < SF_PEAKS; i++) {
+        const sf_real radial = size - flow->peak[i].size;
+        const sf_real across = turned(candidate.angle - flow->peak[i].angle) * size;
+        place = square(radial) + square(across) < square(R(2.6) * flow->spacing) ? i : place;
+    }
+    if (candidate.score > flow->peak[place].score) {
+        flow->peak[place] = candidate;
+    }
     flow->turn = flow->turn + 1u < turns ? flow->turn + 1u : 0u;
     flow->radius += flow->turn == 0u ? 1u : 0u;
     return 1;
 }
 
-/* Move a candidate by a step of the wavevector along itself or across, where that is better. */
+/* Improve a candidate by a step of its wavevector: longer, shorter and, if allowed, turned. */
 static void refine(const sf_flow *flow, sf_peak *peak, sf_real step)
 {
-    uint32_t ways = flow->config.any_heading ? 4u : 2u, i;
-    if (!(peak->size > 0)) {
-        return; /* a place without a candidate */
-    }
+    const uint32_t ways = flow->config.any_heading ? 4u : 2u;
     fit(flow, peak); /* to the rows as they are now */
-    for (i = 0; i < ways; i++) {
+    for (uint32_t i = 0; i < ways; i++) {
         const sf_real way = i % 2u ? -step : step;
         sf_peak moved = *peak;
         moved.size += i < 2u ? way : 0;
@@ -505,31 +457,28 @@ static void refine(const sf_flow *flow, sf_peak *peak, sf_real step)
     }
 }
 
-/* Start the filters from a refined candidate: its waves, conditioned on every row. */
+/* Start the filters from a refined candidate: its waves, updated by every row. */
 static sf_doubt start(sf_flow *flow, sf_peak *peak, const sf_real z[4])
 {
     const sf_real variance = (1 - peak->score) * flow->total / (2 * R(flow->row_count) - R(M));
-    const sf_real away[2] = {z[0] - flow->middle[0], z[1] - flow->middle[1]};
     sf_filter *filter = &flow->filter[0];
     const sf_real *p = peak->waves;
     sf_real value[FEATURES], by[FEATURES][M], ph[N];
-    uint32_t i, j, r;
     fit(flow, peak); /* to the rows as they are now */
     memset(filter, 0, sizeof *filter);
     memcpy(filter->state + FLOW, p, sizeof peak->waves);
-    for (i = 0; i < M; i++) {
+    for (uint32_t i = 0; i < M; i++) {
         filter->covariance[FLOW + i][FLOW + i] = i < 4u ? dot(4, p, p) : square(flow->spacing);
     }
-    for (i = 0; i < flow->row_count; i++) {
+    for (uint32_t i = 0; i < flow->row_count; i++) {
         const sf_real *row = flow->rows[i];
         const sf_real place[2] = {row[0] - flow->middle[0], row[1] - flow->middle[1]};
         sf_real w[2], by_flow[2][2u + M];
         waves(p, place, w, by_flow);
-        for (r = 0; r < 2u; r++) {
-            for (j = 0; j < M; j++) {
-                w[r] += by_flow[r][2u + j] * (filter->state[FLOW + j] - p[j]);
-            }
-            (void)correct(filter, FLOW, M, by_flow[r] + 2, row[2u + r] - w[r], 4 * variance);
+        for (uint32_t r = 0; r < 2u; r++) {
+            const sf_real *slope = by_flow[r] + 2;
+            w[r] += dot(M, slope, filter->state + FLOW) - dot(M, slope, p);
+            (void)correct(filter, FLOW, M, slope, row[2u + r] - w[r], 4 * variance);
         }
     }
     features(filter->state + FLOW, value, by);
@@ -542,25 +491,25 @@ static sf_doubt start(sf_flow *flow, sf_peak *peak, const sf_real z[4])
     }
     filter->log_likelihood = 0;
     filter->square = 1;
-    for (i = 1; i < SF_LEVELS; i++) {
+    for (uint32_t i = 1; i < SF_LEVELS; i++) {
         flow->filter[i] = *filter;
     }
-    settle(flow, away, z);
+    memcpy(flow->anchor, flow->middle, sizeof flow->anchor);
+    settle(flow, z);
     flow->following = 1;
     flow->age = flow->remaining[0] = flow->remaining[1] = 0;
     return SF_SETTLING;
 }
 
-/* All candidates are refined: start from the best, where it explains the rows and has no rival. */
+/* The sweep is at its end: start from the best candidate if it explains the rows alone. */
 static sf_doubt decide(sf_flow *flow, const sf_real z[4])
 {
     sf_peak *best = &flow->peak[0];
     sf_real rival = 0;
-    uint32_t i;
-    for (i = 1; i < SF_PEAKS; i++) {
+    for (uint32_t i = 1; i < SF_PEAKS; i++) {
         best = flow->peak[i].score > best->score ? &flow->peak[i] : best;
     }
-    for (i = 0; i < SF_PEAKS; i++) {
+    for (uint32_t i = 0; i < SF_PEAKS; i++) {
         const sf_peak *peak = &flow->peak[i];
         if ((fabs(log(best->size / peak->size)) > R(0.03)) && (peak->score > rival)) {
             rival = peak->score;
@@ -580,17 +529,16 @@ static sf_doubt decide(sf_flow *flow, const sf_real z[4])
 static void search(sf_flow *flow, const sf_real z[4])
 {
     sf_real extent = flow->config.lower / 2;
-    uint32_t i;
     if (flow->row_count < FEWEST_ROWS) {
         return;
     }
     flow->total = flow->middle[0] = flow->middle[1] = 0;
-    for (i = 0; i < flow->row_count; i++) {
+    for (uint32_t i = 0; i < flow->row_count; i++) {
         add(2, flow->middle, 1 / R(flow->row_count), flow->rows[i]);
         flow->total += dot(2, flow->rows[i] + 2, flow->rows[i] + 2);
     }
     if (!flow->sweeping) {
-        for (i = 0; i < flow->row_count; i++) {
+        for (uint32_t i = 0; i < flow->row_count; i++) {
             extent = fmax(extent, fabs(flow->rows[i][0] - flow->middle[0]));
             extent = fmax(extent, fabs(flow->rows[i][1] - flow->middle[1]));
         }
@@ -600,12 +548,15 @@ static void search(sf_flow *flow, const sf_real z[4])
         memset(flow->peak, 0, sizeof flow->peak);
     }
     if (flow->rounds == 0u) {
-        for (i = 0; (i < flow->config.candidates) && (flow->rounds == 0u); i++) {
+        for (uint32_t i = 0; (i < flow->config.candidates) && (flow->rounds == 0u); i++) {
             flow->rounds = look(flow) ? 0u : 1u;
         }
     } else if (flow->rounds <= SF_PEAKS * ROUNDS) {
         const uint32_t done = flow->rounds - 1u;
-        refine(flow, &flow->peak[done / ROUNDS], flow->spacing / R(2u << (done % ROUNDS)));
+        sf_peak *peak = &flow->peak[done / ROUNDS];
+        if (peak->size > 0) { /* else there were fewer candidates */
+            refine(flow, peak, flow->spacing / R(2u << (done % ROUNDS)));
+        }
         flow->rounds++;
     } else {
         flow->sweeping = 0;
@@ -615,25 +566,23 @@ static void search(sf_flow *flow, const sf_real z[4])
 
 /* ---- the interface -------------------------------------------------------------------------- */
 
-/* Levels of the noise from third differences, whose variance is 20 times as large. */
+/* Variances of the noise, from third differences, whose variances are 20 times as large. */
 static void measure_noise(sf_flow *flow, const sf_real z[4])
 {
-    sf_real difference[4], before[4];
-    uint32_t i;
-    memcpy(difference, z, sizeof difference);
-    for (i = 0; i < 3u; i++) { /* the sample, its first and its second difference */
-        memcpy(before, flow->differences[i], sizeof before);
-        memcpy(flow->differences[i], difference, sizeof difference);
-        add(4, difference, -1, before);
+    sf_real third[4];
+    for (uint32_t i = 0; i < 4u; i++) {
+        third[i] = z[i] - 3 * flow->last[2][i] + 3 * flow->last[1][i] - flow->last[0][i];
     }
+    memmove(flow->last, flow->last + 1, sizeof(sf_real[2][4]));
+    memcpy(flow->last[2], z, sizeof flow->last[2]);
     if (flow->recent < 3u) {
         flow->recent++;
         return;
     }
     flow->noise_count += flow->noise_count < 500 ? R(1) : R(0);
-    for (i = 0; i < 2u; i++) {
+    for (uint32_t i = 0; i < 2u; i++) {
         const sf_real most = flow->noise_count > 20 ? 25 * flow->noise[i] : R(HUGE_VAL);
-        const sf_real now = fmin(dot(2, difference + 2u * i, difference + 2u * i) / 40, most);
+        const sf_real now = fmin(dot(2, third + 2u * i, third + 2u * i) / 40, most);
         flow->noise[i] += (now - flow->noise[i]) / flow->noise_count;
         flow->noise[i] = fmax(flow->noise[i], square(R(1e-4) * flow->config.lower));
     }
@@ -664,15 +613,14 @@ static sf_real seconds(uint64_t from, uint64_t to)
 }
 
 /*
- * The time h [s] since the last sample. One that is out of line waits for the next: if that goes
- * on from it, the clock was set, and h is the time between the two.
+ * The time h [s] since the last sample. A sample out of line is left out; if the next one
+ * continues from it, the clock was set, and h is the time between the two.
  */
 static sf_status advance(sf_flow *flow, uint64_t time_ns, sf_real *h)
 {
     sf_status status = SF_OK;
     *h = flow->samples > 0u ? seconds(flow->time_ns, time_ns) : 0;
-    if ((flow->samples > 0u) &&
-        (!(*h > 0) || ((flow->step > 0) && (*h > GAP * flow->step)))) {
+    if ((flow->samples > 0u) && (!(*h > 0) || ((flow->step > 0) && (*h > GAP * flow->step)))) {
         const sf_real since = seconds(flow->suspect_ns, time_ns);
         const int later = (flow->suspects > 0u) && (since > 0);
         if (!later || ((since > GAP * flow->step) && (flow->suspects < 2u))) {
@@ -693,26 +641,22 @@ static sf_status advance(sf_flow *flow, uint64_t time_ns, sf_real *h)
 sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real position[2],
                     const sf_real velocity[2], const sf_real *thrust)
 {
-    sf_real z[4], push[2], h;
-    sf_status status;
-    uint32_t i;
     if ((flow == NULL) || (position == NULL) || (velocity == NULL) ||
         (flow->config.candidates == 0u)) {
         return SF_BAD_ARGUMENT;
     }
-    for (i = 0; i < 2u; i++) {
+    for (uint32_t i = 0; i < 2u; i++) {
         if (!(fabs(position[i]) <= LARGEST) || !(fabs(velocity[i]) <= LARGEST) ||
             ((thrust != NULL) && !(fabs(thrust[i]) <= LARGEST))) { /* true of NaN */
             return SF_BAD_SAMPLE;
         }
     }
-    status = advance(flow, time_ns, &h);
+    sf_real z[4], h, push[2] = {flow->config.thrust_x, flow->config.thrust_y};
+    const sf_status status = advance(flow, time_ns, &h);
     if (status == SF_BAD_TIME) {
         return status;
     }
-    push[0] = flow->config.thrust_x;
-    push[1] = flow->config.thrust_y;
-    for (i = 0; i < 2u; i++) {
+    for (uint32_t i = 0; i < 2u; i++) {
         flow->origin[i] = flow->samples == 1u ? position[i] : flow->origin[i];
         z[i] = position[i] - flow->origin[i];
         z[2u + i] = velocity[i];
@@ -735,8 +679,7 @@ sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real position[2],
     } else if (!flow->waiting) {
         follow(flow, z, h, push);
     } else if (flow->row_count == CHECK_ROWS) {
-        const sf_real away[2] = {z[0] - flow->anchor[0], z[1] - flow->anchor[1]};
-        settle(flow, away, z);
+        settle(flow, z);
         flow->waiting = 0;
         flow->following = flow->remaining[0] < UNEXPLAINED / 2 * flow->remaining[1] ? 1u : 0u;
     }
@@ -745,45 +688,37 @@ sf_status sf_update(sf_flow *flow, uint64_t time_ns, const sf_real position[2],
 
 sf_status sf_estimate(const sf_flow *flow, sf_answer *answer)
 {
-    sf_filter filter;
-    sf_real value[FEATURES], by[FEATURES][M], error[4], ph[N], uneven, different, most;
-    uint32_t i;
     if ((flow == NULL) || (answer == NULL) || (flow->config.candidates == 0u)) {
         return SF_BAD_ARGUMENT;
     }
-    memset(answer, 0, sizeof *answer);
-    answer->mean_velocity = answer->length_scale = answer->timescale = answer->heading = R(NAN);
-    answer->status = SF_UNIDENTIFIABLE;
-    answer->samples = flow->samples;
-    answer->doubt = (sf_doubt)flow->doubt;
+    *answer = (sf_answer){.status = SF_UNIDENTIFIABLE, .doubt = (sf_doubt)flow->doubt,
+                          .samples = flow->samples, .mean_velocity = R(NAN),
+                          .length_scale = R(NAN), .timescale = R(NAN), .heading = R(NAN),
+                          .rival = flow->doubt == SF_RIVAL ? flow->rival : 0};
     if (!flow->following) {
-        answer->rival = flow->doubt == SF_RIVAL ? flow->rival : 0;
         return answer->status;
     }
-    filter = *likeliest(flow);
-    answer->innovation = filter.square;
-    answer->correlation = filter.product;
-    answer->unexplained = flow->remaining[1] > 0 ? flow->remaining[0] / flow->remaining[1] : 1;
-    features(filter.state + FLOW, value, by); /* both amplitudes are equal: taken as a reading */
-    uneven = value[UNEVEN];
-    different = correct(&filter, FLOW, M, by[UNEVEN], -uneven, 0);
-    features(filter.state + FLOW, value, by);
-    for (i = 0; i < 4u; i++) { /* innovations that are too large widen the intervals */
+    sf_filter filter = *likeliest(flow);
+    const sf_real *p = filter.state + FLOW;
+    sf_real value[FEATURES], by[FEATURES][M], error[4], ph[N];
+    features(p, value, by); /* both amplitudes are equal: taken as a reading */
+    const sf_real uneven = value[UNEVEN];
+    const sf_real different = correct(&filter, FLOW, M, by[UNEVEN], -uneven, 0);
+    features(p, value, by);
+    for (uint32_t i = 0; i < 4u; i++) { /* innovations that are too large widen the intervals */
         error[i] = sqrt(fmax(filter.square, R(1)) * variance_of(&filter, FLOW, M, by[i], ph));
     }
-    answer->mean_velocity = value[SPEED];
-    answer->length_scale = value[LENGTH];
-    answer->timescale = value[TIME];
-    answer->heading = value[HEADING];
-    answer->mean_velocity_error = error[SPEED];
-    answer->length_scale_error = error[LENGTH];
-    answer->timescale_error = error[TIME];
-    answer->heading_error = error[HEADING];
-    memcpy(answer->flow, filter.state + FLOW, sizeof(sf_real[M]));
-    answer->flow[6] = flow->anchor[0] + flow->origin[0];
-    answer->flow[7] = flow->anchor[1] + flow->origin[1];
-    most = flow->config.precision / R(1.96);
-    answer->doubt = SF_NO_DOUBT;
+    *answer = (sf_answer){
+        .status = SF_UNIDENTIFIABLE, .doubt = SF_NO_DOUBT, .samples = flow->samples,
+        .mean_velocity = value[SPEED], .mean_velocity_error = error[SPEED],
+        .length_scale = value[LENGTH], .length_scale_error = error[LENGTH],
+        .timescale = value[TIME], .timescale_error = error[TIME],
+        .heading = value[HEADING], .heading_error = error[HEADING],
+        .innovation = filter.square, .correlation = filter.product,
+        .unexplained = flow->remaining[1] > 0 ? flow->remaining[0] / flow->remaining[1] : 1,
+        .flow = {p[0], p[1], p[2], p[3], p[4], p[5], flow->anchor[0] + flow->origin[0],
+                 flow->anchor[1] + flow->origin[1]}};
+    const sf_real most = flow->config.precision / R(1.96);
     if ((flow->age < SETTLED) || flow->waiting) {
         answer->doubt = SF_SETTLING;
     } else if (!(filter.square < R(1.6)) || (filter.product > R(0.5)) ||
@@ -799,9 +734,8 @@ sf_status sf_estimate(const sf_flow *flow, sf_answer *answer)
         answer->doubt = SF_IMPRECISE;
     } else if (!within(value[LENGTH], flow->config.lower, flow->config.upper)) {
         answer->doubt = SF_EDGE;
-    } else {
-        answer->status = SF_OK;
     }
+    answer->status = answer->doubt == SF_NO_DOUBT ? SF_OK : SF_UNIDENTIFIABLE;
     if ((answer->doubt >= SF_INNOVATIONS) && (answer->doubt <= SF_TURNED)) {
         answer->status = SF_MISFIT;
     }

@@ -117,7 +117,7 @@ typedef struct {
     sf_real step;                       /* mean time between samples [s] */
     sf_real origin[2];                  /* the first position, from which all others count [m] */
     sf_real thrust[2];                  /* measured with the last sample */
-    sf_real differences[3][4];          /* the last sample, its first and second difference */
+    sf_real last[3][4];                 /* samples, the oldest first */
     sf_real noise_count, noise[2];      /* variances of position [m^2] and velocity [m^2/s^2] */
     sf_real block[11], block_time;      /* sums of the samples that become a row */
     sf_real rows[SF_ROWS][4];           /* position [m], flow velocity [m/s] */
