@@ -13,7 +13,7 @@ from sparsefit.arrays import Brief
 from sparsefit.codec import finite_or_none
 from sparsefit.flight.waves import FlowField
 from sparsefit.likelihood.causes import FREEDOMS
-from sparsefit.likelihood.goodness import Agreement, Constancy, Goodness, Uncertainty
+from sparsefit.likelihood.goodness import Constancy, Goodness, Uncertainty
 from sparsefit.regression.certificate import Certificate
 from sparsefit.rows import Repairs
 
@@ -115,7 +115,7 @@ class FlightEstimate:
     samples: int = 0  #: that were fitted
     goodness: Goodness | None = None  #: of the fit
     repairs: Repairs = Repairs()  #: of the log, before the fit
-    agreement: Agreement | None = None  #: of logged position and velocity
+    position_wander: float = math.nan  #: rms of a correlated error of the logged position [m]
     #: of several flights: the standard deviation of its noise over the rms of all of them
     noise: float = math.nan
 
@@ -136,7 +136,8 @@ def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) 
             error = tuple(share * posterior.error(element + suffix) for element in own)
             values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
     sure = Uncertainty(absent | Uncertainty.of(values, errors)) if values else None
-    return values | {"agreement": Agreement.of(leg.model), "vehicle_uncertainty": sure}
+    wander = leg.model.disturbance.levels.get("wander", math.nan)
+    return values | {"position_wander": wander, "vehicle_uncertainty": sure}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -17,7 +17,6 @@ import numpy as np
 
 from sparsefit.likelihood.causes import Suspect
 from sparsefit.likelihood.diagnosis import Diagnosis
-from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.posterior import Posterior
 from sparsefit.likelihood.trellis import Leg
 
@@ -62,20 +61,6 @@ class Uncertainty(dict[str, Any]):
 def interval(value: float, error: float) -> tuple[float, float]:
     """The 95 % interval of a value with a standard error."""
     return value - NORMAL_95 * error, value + NORMAL_95 * error
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """The error of the logged position against the integral of the velocity."""
-
-    wander: float = 0.0  #: rms of a correlated error of the position [m], 0 where there is none
-    wander_time: float = math.nan  #: its correlation time [s]
-
-    @classmethod
-    def of(cls, model: Model) -> Agreement | None:
-        """From a model with a correlated error of position; None of another."""
-        processes = [own for own in model.disturbance.processes if own.name == "wander"]
-        return cls(processes[0].level, 1.0 / processes[0].rate) if processes else None
 
 
 @dataclass(frozen=True)

@@ -165,10 +165,6 @@ class Model:
         """Return the model with these elements free as well."""
         return replace(self, freed=tuple(dict.fromkeys((*self.freed, *names))))
 
-    def known(self, *names: str) -> Model:
-        """Return the model with these elements known, at their values."""
-        return replace(self, freed=tuple(name for name in self.freed if name not in names))
-
     def space(self, names: Iterable[str] = (), track: Array | None = None) -> StateSpace:
         """Return the state space, with sensitivities by named parameters.
 

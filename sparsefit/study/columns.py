@@ -148,7 +148,7 @@ FLIGHT_COLUMNS = _columns(
     (SINGLE, "est_drift_y", "estimate.drift.1"),
     (SINGLE, "prediction_error", "prediction_error"),
     (WHOLE, "outliers", "estimate.repairs.outliers"),
-    (SINGLE, "wander", "estimate.agreement.wander"),
+    (SINGLE, "wander", "estimate.position_wander"),
     (TEXT, "repairs", "estimate.repairs.words"),
     (SINGLE, "r_squared", "estimate.goodness.r_squared"),
     (SINGLE, "whiteness", "estimate.goodness.whiteness"),

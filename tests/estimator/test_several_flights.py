@@ -165,7 +165,7 @@ def test_what_wanders_in_one_flight_is_that_flights():
     wandering = replace(wandering, position=wandering.position + np.cumsum(steps, axis=0))
     found = sf.Estimator(readout=REFINED).estimate([steady, wandering])
     assert found.status == "ok", found.reason
-    levels = [own.agreement.wander for own in found.flights]
+    levels = [own.position_wander for own in found.flights]
     assert levels[0] < 0.01 < 0.1 < levels[1]
 
 
