@@ -147,9 +147,11 @@ def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
         loss = backend.penalty(part).loss
         rows, levels = problem.theta[fold], [part.intercept_of(each, loss) for each in path]
         fitted = np.stack([rows @ each for each in path]) + np.stack(levels)[:, None, :]
-        misfit = problem.raw_target[fold] - fitted
-        if problem.adjusted is not None and problem.adjusted.roots is not None:
-            misfit *= problem.adjusted.roots[fold, None]
+        misfit = (problem.target if problem.raw_target is None else problem.raw_target)[
+            fold
+        ] - fitted
+        if problem.design.weights is not None:
+            misfit *= problem.design.weights[fold, None]
         pull = np.clip(misfit, -reach[fold], reach[fold])
         errors[i] = np.einsum("pit,pit->p", pull, 2.0 * misfit - pull) / (len(fold) * square)
     return errors

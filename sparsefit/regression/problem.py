@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sparsefit.arrays import Array, BoolArray, Brief, IntArray
+from sparsefit.arrays import Array, BoolArray, Brief, IntArray, frozen
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.regression.design import Design
@@ -42,50 +42,6 @@ class Spectrum:
         return large
 
 
-@dataclass(frozen=True, eq=False)
-class Adjustment:
-    """Sample weights and intercept of a problem, which its target is multiplied by and centred.
-
-    raw (m, n): the original target. weight (m,): the sample weights, or None. roots (m,): the roots
-    of the weights over their mean, or None. direction (m,): the intercept's column times the roots,
-    or None. levels (n,): the weighted means of the target, subtracted along the direction.
-    """
-
-    raw: Array
-    weight: Array | None
-    roots: Array | None
-    direction: Array | None
-    levels: Array
-
-    @classmethod
-    def of(
-        cls, target: Array, sample_weight: ArrayLike | None, intercept: bool
-    ) -> "tuple[Adjustment | None, Array]":
-        """The adjustment, None without weights and intercept, and the adjusted target (m, n)."""
-        if intercept not in (True, False):
-            raise InputError(f"intercept must be true or false, not {intercept!r}")
-        if sample_weight is None and not intercept:
-            return None, target
-        raw, weight, roots, direction = target, None, None, None
-        levels = np.zeros(target.shape[1])
-        if sample_weight is not None:
-            try:
-                weight = np.asarray(sample_weight, dtype=float)
-            except (TypeError, ValueError):
-                weight = np.zeros(0)
-            usable = weight.shape == (len(target),) and np.isfinite(weight).all()
-            if not usable or weight.min() < 0 or not weight.any():
-                words = f"sample_weight must have {len(target)} numbers >= 0 that are not all zero"
-                raise InputError(words)
-            roots = np.sqrt(weight / weight.mean())
-            target = target * roots[:, None]
-        if intercept:
-            direction = np.ones(len(target)) if roots is None else roots
-            levels = direction @ target / float(direction @ direction)
-            target = target - np.multiply.outer(direction, levels)
-        return cls(raw, weight, roots, direction, levels), target
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class RegressionProblem(Brief):
     """target (m, n) ~ theta (m, k) W (k, n), with columns in groups.
@@ -97,9 +53,10 @@ class RegressionProblem(Brief):
     the length scale of each group, or None. subgroups: (k,), numbers from 0 of smaller groups, each
     within one group, such as the waves of a ring, or None. parameters: (s, p), of the modes of the
     family that the columns belong to. sample_count: m, where theta and target are the triangle of a
-    QR of the m original rows, with their inner products. adjusted: sample weights and intercept,
-    which the target here contains already. partial: theta has only some rows of a problem, and may
-    have columns of zeros, whose weights are zero.
+    QR of the m original rows, with their inner products. sample_weight: (m,) or None; intercept:
+    whether a constant column is projected off; the target is weighted and centred by these, and
+    raw_target (m, n) is as it was, None without them. partial: theta has only some rows of a
+    problem, and may have columns of zeros, whose weights are zero.
     """
 
     theta: Any
@@ -111,7 +68,9 @@ class RegressionProblem(Brief):
     sample_count: int | None = None
     subgroups: IntArray | None = None
     parameters: Array | None = None
-    adjusted: Adjustment | None = None
+    raw_target: Array | None = None
+    sample_weight: Array | None = None
+    intercept: bool = False
     partial: bool = False
 
     def __post_init__(self) -> None:
@@ -127,8 +86,7 @@ class RegressionProblem(Brief):
                 object.__setattr__(self, name, values)
         squares = self.design.squares
         squares = np.where(squares == 0.0, 1.0, squares) if self.partial else squares
-        centred = self.adjusted is not None and self.adjusted.direction is not None
-        alike = "is constant, as the intercept is; drop it" if centred else ""
+        alike = "is constant, as the intercept is; drop it" if self.intercept else ""
         _refuse_unfit(squares, self.names, alike=alike)
         _ = self.digest  # of the data as they are now
         with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
@@ -181,22 +139,23 @@ class RegressionProblem(Brief):
             inner = _numbers(subgroups, labels, "subgroups")
             if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
                 raise InputError("subgroups must lie within groups: one of them spans two groups")
-        targets, adjusted = tuple(map(str, _labels(target, values.shape[1]))), None
-        if len(values) == source.shape[0]:
-            adjusted, values = Adjustment.of(values, sample_weight, intercept)
-        return cls(
-            *(source, values, numbers, labels, targets),
-            subgroups=inner, adjusted=adjusted, partial=partial,
-        )  # fmt: skip
+        if intercept not in (True, False):
+            raise InputError(f"intercept must be true or false, not {intercept!r}")
+        weight, posed = None, dict[str, Any](target=values)
+        if sample_weight is not None:
+            weight = frozen("sample_weight", sample_weight, (len(values),))
+            if weight.min() < 0 or not weight.any():
+                raise InputError("sample_weight must be >= 0, and not zero for every sample")
+        if (intercept or weight is not None) and len(values) == source.shape[0]:
+            posed = _adjusted(values, weight, intercept)
+        targets = tuple(map(str, _labels(target, values.shape[1])))
+        posed |= {"groups": numbers, "names": labels, "target_names": targets}
+        return cls(source, **posed, subgroups=inner, partial=partial)
 
     @cached_property
     def design(self) -> Design:
         """The design of the columns, weighted and centred."""
-        roots, direction = None, None
-        if self.adjusted is not None:
-            roots, direction = self.adjusted.roots, self.adjusted.direction
-        if direction is not None:
-            direction = direction / np.linalg.norm(direction)
+        roots, direction = _row_factors(self.sample_weight, self.intercept, len(self.target))
         return Design(self.theta, self.samples, roots, direction)
 
     @cached_property
@@ -216,24 +175,18 @@ class RegressionProblem(Brief):
             words = "this needs theta as one array in memory, and it is sparse, dask's or a file's"
             raise InputError(f"{words}: use lasso or another penalised back-end")
         rows: Array = self.theta
-        if self.adjusted is not None:
+        if self.raw_target is not None:
             rows = self.design.raw_columns(np.arange(self.columns))
             rows[:, self.design.squares == 0.0] = 0.0  # columns that are constant, to rounding
         return rows
 
-    @property
-    def raw_target(self) -> Array:
-        """The target (m, n) without weights and before centring."""
-        return self.target if self.adjusted is None else self.adjusted.raw
-
     def part(self, rows: IntArray) -> "RegressionProblem":
         """The problem of some of the samples. Raises InputError as `from_arrays` does."""
-        adjusted, target = self.adjusted, self.raw_target[rows]
-        if adjusted is not None:
-            weight = None if adjusted.weight is None else adjusted.weight[rows]
-            adjusted, target = Adjustment.of(target, weight, adjusted.direction is not None)
-        new = {"theta": self.theta[rows], "target": target, "adjusted": adjusted}
-        return replace(self, sample_count=None, partial=True, **new)
+        new: dict[str, Any] = {"target": self.target[rows]}
+        if self.raw_target is not None:
+            weight = None if self.sample_weight is None else self.sample_weight[rows]
+            new = _adjusted(self.raw_target[rows], weight, self.intercept)
+        return replace(self, theta=self.theta[rows], sample_count=None, partial=True, **new)
 
     def alpha_max(self, penalty: Penalty) -> float:
         """The smallest alpha whose solution is zero: the dual norm of Z'u/m, u of R = Y."""
@@ -242,22 +195,20 @@ class RegressionProblem(Brief):
             cross = self.design.correlate(penalty.loss.pull(self.target, self.target))
         return alpha_max(cross, penalty)
 
-    @property
-    def means(self) -> Array:
-        """The weighted means (k,) of the columns beside an intercept; 0 without one."""
-        along = None if self.adjusted is None else self.adjusted.direction
-        return self.design.means / (1.0 if along is None else np.linalg.norm(along))
-
     def intercept_of(self, weights: Array, loss: Squares = SQUARES) -> Array:
-        """The intercept (n,) beside weights (k, n), in the units of the target; 0 without one."""
-        if self.adjusted is None or self.adjusted.direction is None:
+        """The intercept (n,) beside weights (k, n), in the units of the target; 0 without one.
+
+        It is the weighted mean of Y - theta W, to which Huber's loss adds its own level.
+        """
+        design, raw = self.design, self.raw_target
+        if design.direction is None or raw is None:
             return np.zeros(self.targets)
-        intercept = self.adjusted.levels - self.means @ weights
+        weighted = raw if design.weights is None else design.weights[:, None] * raw
+        level = design.direction @ weighted - design.means @ weights
         if loss.direction is not None:
-            residual = self.target - self.design.raw_predict(weights)
-            level = loss.level(residual, loss.bound(self.target))
-            intercept = intercept + level / np.linalg.norm(self.adjusted.direction)
-        return intercept
+            residual = self.target - design.raw_predict(weights)
+            level += loss.level(residual, loss.bound(self.target))
+        return np.asarray(level / np.sqrt(len(raw)))
 
     @property
     def samples(self) -> int:
@@ -304,8 +255,7 @@ class RegressionProblem(Brief):
 
         start, rows, target = perf_counter(), self.rows, self.target
         if len(rows) > self.columns + self.targets:
-            both = cast(Array, np.linalg.qr(np.hstack([rows, target]), mode="r"))
-            rows, target = both[:, : self.columns], both[:, self.columns :]
+            rows, target = compressed([(rows, target)])
         pivoted: Any = qr_multiply  # whose types do not know of the order
         turned, triangle, order = pivoted(rows, target.T, pivoting=True)
         norms = np.sqrt(np.cumsum(np.square(triangle[::-1]).sum(axis=1)))[::-1]
@@ -317,6 +267,28 @@ class RegressionProblem(Brief):
         right[:, self.design.squares == 0.0] = 0.0  # of columns of zeros, to the bit
         projected = left.T @ turned[:, :rank].T
         return Spectrum(singular_values, right, projected, perf_counter() - start)
+
+
+def _row_factors(
+    weight: Array | None, intercept: bool, count: int
+) -> tuple[Array | None, Array | None]:
+    """The roots (m,) of sample weights over their mean, and the direction of an intercept.
+
+    None without them. The intercept's column times the roots is sqrt(m) times the direction.
+    """
+    roots = None if weight is None else np.sqrt(weight / weight.mean())
+    direction = (np.ones(count) if roots is None else roots) / np.sqrt(count)
+    return roots, direction if intercept else None
+
+
+def _adjusted(raw: Array, weight: Array | None, intercept: bool) -> dict[str, Any]:
+    """The fields of a problem with sample weights and an intercept, for the target ``raw``."""
+    roots, direction = _row_factors(weight, intercept, len(raw))
+    target = raw if roots is None else raw * roots[:, None]
+    if direction is not None:
+        target = target - np.multiply.outer(direction, direction @ target)
+    own = {"raw_target": raw, "sample_weight": weight, "intercept": intercept}
+    return {"target": target, **own}
 
 
 def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
