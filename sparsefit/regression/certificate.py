@@ -185,11 +185,12 @@ def _gaps(
     (count, k, n), loss = scaled.shape, penalty.loss
     data, target = target, loss.centred(target)
     level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
-    used = int(np.count_nonzero(scaled.any(axis=(0, 2))))
-    gamma = rounding_of(design.terms + 2 * used * n + 20)
-    values = np.ascontiguousarray(scaled.transpose(1, 0, 2)).reshape(k, count * n)
+    used = np.flatnonzero(np.any(scaled.any(axis=0), axis=1))
+    gamma = rounding_of(design.terms + 2 * len(used) * n + 20)
+    values, part = np.zeros((k, count * n)), scaled[:, used]
+    values[used] = part.transpose(1, 0, 2).reshape(len(used), count * n)
     rest = np.tile(target, (1, count)) - design.predict(values)
-    size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
+    size, unit = np.abs(part).sum(axis=1), design.spread * rounding_of(len(used) + 8)
     rho, pull, linear = unit * (level + size), rest, np.zeros(count)
     if np.isfinite(loss.clip):
         rest, pull, rho, linear = _clipped(design, data, loss, rest, size, unit)

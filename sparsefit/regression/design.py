@@ -189,11 +189,12 @@ class Design:
             split: Any = from_array  # which has no types
             chunks = (self.source.chunks[0], rows.shape[1])
             return _array(self._weighted.T @ split(rows, chunks=chunks))
-        total = np.zeros((self.shape[1], rows.shape[1]))
+        total: Any = None
         for part, block in self.blocks():
             # numpy multiplies the other way round up to four times faster where R is narrow
-            total += (rows[part].T @ block).T if self.kind == "dense" else block.T @ rows[part]
-        return total
+            each = (rows[part].T @ block).T if self.kind == "dense" else block.T @ rows[part]
+            total = each if total is None else np.add(total, each, out=total)
+        return np.asarray(total)
 
     def raw_columns(self, index: IntArray) -> Array:
         """theta_J (m, j), weighted and centred: a dense copy in Fortran order."""

@@ -195,6 +195,5 @@ def block_sums(values: Array, order: IntArray | None, starts: IntArray, joint: b
     """Sums over blocks of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
     if order is not None:
         values = values[..., order, :]
-    if joint:
-        values = values.sum(axis=-1, keepdims=True)
-    return np.add.reduceat(values, starts, axis=-2)
+    sums = np.add.reduceat(values, starts, axis=-2)
+    return sums.sum(axis=-1, keepdims=True) if joint else sums

@@ -228,14 +228,14 @@ def _with_working_set(
     working = WorkingSet(
         design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), rotations
     )
-    if rotations is not None and 3 * len(index) > m:
-        name = "block descent"
-    working = working.extended(index, cross, _by_gram(design, name, len(index), whole))
-    points = Points.zeros(count, cross)
+    points, new = Points.zeros(count, cross), index
     done, warm_starts = 0, {BEGIN: np.zeros((len(index), q))}
     while done < count:
-        if rotations is not None and 3 * len(working.index) > m:
-            name = "block descent"
+        if len(new):
+            size = len(working.index) + len(new)
+            if rotations is not None and 3 * size > m:
+                name = "block descent"
+            working = working.extended(new, cross, _by_gram(design, name, size, whole))
         here, goal = alphas[done : done + AHEAD], DESCENDED if name == "block descent" else STOP
         stops = (goal,) if name in ("homotopy", "variational") else (ROUGH, goal)
         near = NEAR if name in ("variational", "block descent") else 0.0
@@ -254,9 +254,6 @@ def _with_working_set(
         done = until
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         warm_starts = {at: np.pad(v, wider) for at, v in warm_starts.items() if at <= reached}
-        if len(new):
-            by_gram = _by_gram(design, name, len(working.index) + len(new), whole)
-            working = working.extended(new, cross, by_gram)
     return replace(points, words=f"{name}, {len(working.index)} columns in play")
 
 
