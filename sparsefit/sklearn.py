@@ -16,7 +16,6 @@ from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import issparse
 
 from sparsefit.arrays import Array
 from sparsefit.backends import BACKENDS, get, load, named
@@ -93,10 +92,6 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         backend, least = self._backend(), 2 if self.fit_intercept else 1
         checks = {"accept_sparse": self._formats, "dtype": np.float64, "ensure_min_samples": least}
         design, target = validate_data(self, X, y, multi_output=True, y_numeric=True, **checks)
-        offset = np.zeros(design.shape[1])
-        if self.fit_intercept and not issparse(design):  # whose digits it would cost
-            offset = np.asarray(design).mean(axis=0)
-            design = design - offset
         names = getattr(self, "feature_names_in_", None)
         problem = RegressionProblem.from_arrays(
             *(design, target, self.groups, names), sample_weight=sample_weight,
@@ -110,8 +105,7 @@ class SparseRegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):  # type:
         if fitted.status != "ok":
             words = f"{backend.name} is not certified, {fitted.status}: {fitted.reason}"
             warnings.warn(words, ConvergenceWarning, stacklevel=2)
-        coefficients = fitted.weights.T
-        intercept = fitted.intercept - coefficients @ offset
+        coefficients, intercept = fitted.weights.T, fitted.intercept
         self.coef_ = coefficients if target.ndim == 2 else coefficients[0]
         self.intercept_ = intercept if target.ndim == 2 else float(intercept[0])
         self.status_, self.reason_ = fitted.status, fitted.reason

@@ -43,13 +43,15 @@ class Design:
     rows can be sliced; a sparse matrix by columns (scipy's CSC); a dask array. weights (m,):
     factors of the rows. direction e (m,), |e| = 1: the columns are (I - e e') theta; where rows
     count alike and e is constant, an intercept that is not penalised was projected out. The columns
-    themselves stay as they are stored.
+    themselves stay as they are stored. shift (k,): an offset of the columns of dense rows, which is
+    taken off each block beside an intercept, so that the projection loses no digits.
     """
 
     source: Any
     samples: int
     weights: Array | None = None
     direction: Array | None = None
+    shift: Array | None = None
 
     @cached_property
     def kind(self) -> str:
@@ -93,6 +95,7 @@ class Design:
         for start in range(0, m, step):
             rows = slice(start, min(start + step, m))
             block = np.asarray(self.source[rows], dtype=np.float64)
+            block = block if self.shift is None else block - self.shift
             yield rows, block if self.weights is None else block * self.weights[rows, None]
 
     def digest(self) -> bytes:
@@ -200,6 +203,8 @@ class Design:
         """theta_J (m, j), weighted and centred: a dense copy in Fortran order."""
         if self.in_memory and self.source.flags.f_contiguous:  # no block is copied on the way
             out = np.take(self.source.T, index, axis=0).astype(np.float64, copy=False).T
+            if self.shift is not None:
+                out -= self.shift[index]
             if self.weights is not None:
                 out *= self.weights[:, None]
         else:

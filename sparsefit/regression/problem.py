@@ -15,6 +15,7 @@ from sparsefit.regression.design import Design
 from sparsefit.regression.losses import SQUARES, Squares
 from sparsefit.regression.penalties import Penalty, alpha_max
 
+OFFSET = 30.0  # offsets beyond which columns are shifted before they are centred
 LARGEST, SMALLEST = 1e140, 1e-140  # norms of columns and targets, whose products all are in range
 
 
@@ -156,7 +157,23 @@ class RegressionProblem(Brief):
     def design(self) -> Design:
         """The design of the columns, weighted and centred."""
         roots, direction = _row_factors(self.sample_weight, self.intercept, len(self.target))
-        return Design(self.theta, self.samples, roots, direction)
+        return Design(self.theta, self.samples, roots, direction, self.offset)
+
+    @cached_property
+    def offset(self) -> Array | None:
+        """The medians (k,) of some rows, 0 of columns near zero; None of all, or no intercept.
+
+        A column whose offset is OFFSET times its deviations loses digits when it is centred.
+        """
+        if not self.intercept or Design(self.theta, self.samples).kind != "dense":
+            return None
+        whole = isinstance(self.theta, np.ndarray)  # other sources may have no strides
+        rows = self.theta[:: max(len(self.target) // 64, 1)] if whole else self.theta[0:64]
+        rows = np.asarray(rows, dtype=np.float64)
+        with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sums become
+            middle = np.median(rows, axis=0)
+            far = np.abs(middle) > OFFSET * np.abs(rows - middle).max(axis=0)
+        return np.where(far, middle, 0.0) if far.any() else None
 
     @cached_property
     def digest(self) -> bytes:
@@ -208,7 +225,8 @@ class RegressionProblem(Brief):
         if loss.direction is not None:
             residual = self.target - design.raw_predict(weights)
             level += loss.level(residual, loss.bound(self.target))
-        return np.asarray(level / np.sqrt(len(raw)))
+        intercept = level / np.sqrt(len(raw))
+        return np.asarray(intercept if self.offset is None else intercept - self.offset @ weights)
 
     @property
     def samples(self) -> int:
