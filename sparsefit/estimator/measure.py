@@ -255,7 +255,9 @@ def measure_flow(
         base = diagnosis.believed
         beside = [(_loose(base), base, proposal)]
         for _, white, rival in others:
-            again = fitted(logs, _disturbed_as(base, white.models), white)
+            pairs = zip(white.models, base.models, strict=True)
+            gusty = [own.with_processes(gusts.disturbance.processes) for own, gusts in pairs]
+            again = fitted(logs, gusty, white)
             if again is not None and alike(again, rival, near):
                 beside.append((_loose(again), again, rival))
         best = min(beside, key=lambda each: (each[0], each[1].bic))
@@ -283,15 +285,6 @@ def measure_flow(
         proposal, tuple(proposals), diagnosis, posterior, suspects, freed, goodness,
         rivals[0] if rivals else None, excess > 0,
     )  # fmt: skip
-
-
-def _disturbed_as(posterior: Posterior, models: Sequence[Model]) -> list[Model]:
-    """Models with the processes of a posterior, those of each log."""
-    pairs = zip(models, posterior.models, strict=True)
-    return [
-        replace(model, disturbance=replace(model.disturbance, processes=own.disturbance.processes))
-        for model, own in pairs
-    ]
 
 
 def _loose(posterior: Posterior) -> bool:
@@ -348,11 +341,10 @@ def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior)
     pattern = posterior.model.pattern
     speed, length = pattern.mean_velocity, pattern.length_scale
     still = StreamPattern("axis", (1e-6 * speed, length, 0.0, 0.0), origin=pattern.origin)
-    calm: list[Model] = []
-    for model in posterior.models:
-        air = replace(model.disturbance, processes=())
-        bare = replace(model, pattern=still, fixed=still.names, disturbance=air)
-        calm.append(bare.free(*WIND))
+    calm = [
+        replace(model.with_processes(()), pattern=still, fixed=still.names).free(*WIND)
+        for model in posterior.models
+    ]
     gusts = replace(process_of("turbulence", posterior), level=0.5 * speed)
     nothing = fitted(logs, with_process(calm, gusts))
     if nothing is None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sparsefit.likelihood.reference import ELEMENTS
-
 
 @dataclass(frozen=True)
 class Cause:
@@ -55,12 +53,7 @@ FREEDOMS: dict[str, Cause] = {
     "swell": Cause("swelling", GAIN, "the mean velocity seems to change in time, by "
                    "{percent} % rms", wanders=True, of_flow=True),
 }  # fmt: skip
-"""Causes by the name under which they are freed; every other element is a cause of its own."""
-FREEDOMS |= {
-    name: Cause(name.replace("_", "-"), (name,), f"{name} seems {{size}} {{more}} {BELIEVED}")
-    for name in ELEMENTS
-    if not any(name in own.elements for own in FREEDOMS.values())
-}
+"""Causes by the name under which they are freed."""
 SHAPES = {
     "drift": Cause(
         "drift", ("frequency_1", "frequency_2"), "the cells seem to drift", of_flow=True

@@ -381,8 +381,7 @@ def with_process(models: Iterable[Model], process: Process) -> tuple[Model, ...]
     walking = []
     for model in models:
         every = {own.name: own for own in (*model.disturbance.processes, process)}
-        disturbance = replace(model.disturbance, processes=tuple(every.values()))
-        walking.append(replace(model, disturbance=disturbance))
+        walking.append(model.with_processes(every.values()))
     return tuple(walking)
 
 

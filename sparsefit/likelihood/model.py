@@ -161,6 +161,10 @@ class Model:
         pattern = replace(self.pattern, values=moved)
         return replace(self, pattern=pattern, own={**self.own, **other})
 
+    def with_processes(self, processes: Iterable[Process]) -> Model:
+        """Return the model with these processes, in place of those that it has."""
+        return replace(self, disturbance=replace(self.disturbance, processes=tuple(processes)))
+
     def free(self, *names: str) -> Model:
         """Return the model with these elements free as well."""
         return replace(self, freed=tuple(dict.fromkeys((*self.freed, *names))))
@@ -187,7 +191,7 @@ class Model:
             kicks[level, state] = 2.0 * rate * variance if rate else variance
             spread[level, state] = variance if rate else 0.0
             if track is not None and rate and order[place] in WIND:
-                speeds = self.pattern.passed(track[:, 2:4])
+                speeds = np.hypot(*(track[:, 2:4] - self.pattern.drift).T)
                 speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
                 squares = speeds**2 + variance + 1e-300
                 pace[:, state] = np.sqrt(squares / squares.mean())

@@ -117,11 +117,6 @@ class StreamPattern:
         """The velocity (c_x, c_y) [m/s] of the pattern, (0, 0) of a steady one."""
         return (self.values[-2], self.values[-1]) if self.drifting else (0.0, 0.0)
 
-    def passed(self, velocities: Array) -> Array:
-        """The speeds (m,) of velocities (m, 2) relative to the pattern [m/s]."""
-        speeds: Array = np.hypot(*(velocities - self.drift).T)
-        return speeds
-
     @cached_property
     def waves(self) -> Array:
         """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""

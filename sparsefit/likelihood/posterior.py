@@ -38,34 +38,6 @@ FEWEST = 16  # innovations of a channel that are tested
 
 
 @dataclass(frozen=True, eq=False)
-class Rung:
-    """The likelihood and the parameters at a level other than the optimum.
-
-    Args:
-        height: the logarithm of the level over that of the optimum.
-        value: the log-likelihood, maximised over the parameters.
-        covariance: of these (p, p) about their values at the optimum.
-    """
-
-    height: float
-    value: float
-    covariance: Array
-
-    @classmethod
-    def of(cls, legs: tuple[Leg, ...], height: float, name: str, place: int | None = None) -> Rung:
-        """One forward pass of the logs; place: the number of the log with the level, None: all."""
-        moved = tuple(
-            leg.at({name: math.exp(height) * leg.model.disturbance.levels[name]})
-            if place in (None, number)
-            else leg
-            for number, leg in enumerate(legs)
-        )
-        step = Step.of(moved, keep=False)
-        spread = step.covariance + np.outer(step.change, step.change)
-        return cls(height, step.reached, spread)
-
-
-@dataclass(frozen=True, eq=False)
 class Posterior:
     """The maximum of the likelihood of logs under a model, and its covariance.
 
@@ -147,7 +119,7 @@ class Posterior:
         if not degrees or max(degrees) <= NOTHING:
             return 0.0
         fall = 0.5 * math.log(NOTHING / max(degrees))
-        return self.log_likelihood - Rung.of(self.legs, fall, LEVELS[0]).value
+        return self.log_likelihood - at_level(self.legs, fall, LEVELS[0])[0]
 
     @property
     def bic(self) -> float:
@@ -193,24 +165,25 @@ class Posterior:
         index = list(self.legs[place].model.disturbance.levels).index(name)
         degrees = max(float(last.squares[index, 1]), 1e-12)
         if degrees > 1.0:
-            up, down = (Rung.of(self.legs, sign * NUDGE, name, place) for sign in (1, -1))
-            bend = -(up.value + down.value - 2.0 * self.log_likelihood) / NUDGE**2
+            up, down = (at_level(self.legs, sign * NUDGE, name, place) for sign in (1, -1))
+            bend = -(up[0] + down[0] - 2.0 * self.log_likelihood) / NUDGE**2
             if bend > 4.0:  # a deviation of less than half: to second order
-                spread: Array = 0.5 * (up.covariance + down.covariance - 2.0 * bare)
+                spread: Array = 0.5 * (up[1] + down[1] - 2.0 * bare)
                 return spread / NUDGE**2 / bend
-        start = 0.5 * math.log(NOTHING / degrees)
-        rungs = [Rung(start, self.log_likelihood, bare)]
-        if start < 0.0:
-            rungs = [Rung.of(self.legs, start, name, place)]
+        height = 0.5 * math.log(NOTHING / degrees)
+        at_optimum = self.log_likelihood, bare
+        rungs = [at_level(self.legs, height, name, place) if height < 0.0 else at_optimum]
+        heights = [height]
         while len(rungs) < 40 and (
-            rungs[-1].height < 0.0 or rungs[-1].value > max(own.value for own in rungs) - 4.0
+            heights[-1] < 0.0 or rungs[-1][0] > max(value for value, _ in rungs) - 4.0
         ):
-            rungs.append(Rung.of(self.legs, rungs[-1].height + math.log(3.0), name, place))
-        likely = np.array([rung.value + 0.5 * rung.height for rung in rungs])
+            heights.append(heights[-1] + math.log(3.0))
+            rungs.append(at_level(self.legs, heights[-1], name, place))
+        likely = np.array([value for value, _ in rungs]) + 0.5 * np.array(heights)
         weights = np.exp(likely - likely.max())
-        parts = (weight * rung.covariance for weight, rung in zip(weights, rungs, strict=True))
-        result: Array = sum(parts) / weights.sum() - bare
-        return result
+        covariances = np.array([covariance for _, covariance in rungs])
+        mean: Array = np.tensordot(weights / weights.sum(), covariances, axes=1)
+        return mean - bare
 
     @cached_property
     def inflation(self) -> float:
@@ -240,13 +213,34 @@ class Posterior:
         pairs = (score[~own] - regression.T @ score[own]).reshape(-1, 2)
         block = information[np.ix_(~own, ~own)] - across.T @ regression
         two = np.arange(len(block)).reshape(-1, 2)
-        solved = np.linalg.solve(block[two[:, :, None], two[:, None]], pairs[..., None])[..., 0]
-        return max(0.5 * float(np.mean(np.sum(pairs * solved, axis=1))), 1.0)
+        blocks = block[two[:, :, None], two[:, None]]
+        seen = np.linalg.det(blocks) > 0.0  # a wave that the readings do not see has no score
+        if not seen.any():
+            return 1.0
+        solved = np.linalg.solve(blocks[seen], pairs[seen, :, None])[..., 0]
+        return max(0.5 * float(np.mean(np.sum(pairs[seen] * solved, axis=1))), 1.0)
 
     def scores(self, extra: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
         """Names, score (q,) and information (q, q) of the free parameters and of others."""
         step = Step.of([replace(leg, last=None) for leg in self.legs], extra, keep=False)
         return step.names, step.score, step.information
+
+
+def at_level(
+    legs: tuple[Leg, ...], height: float, name: str, place: int | None = None
+) -> tuple[float, Array]:
+    """The log-likelihood, and the covariance (p, p) about the optimum, at exp(height) of a level.
+
+    place: the number of the log with the level, None: all. Parameters maximise the likelihood.
+    """
+    moved = tuple(
+        leg.at({name: math.exp(height) * leg.model.disturbance.levels[name]})
+        if place in (None, number)
+        else leg
+        for number, leg in enumerate(legs)
+    )
+    step = Step.of(moved, keep=False)
+    return step.reached, step.covariance + np.outer(step.change, step.change)
 
 
 def measure(

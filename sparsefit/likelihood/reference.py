@@ -7,8 +7,8 @@
 
 m is the vehicle's own acceleration in the log [m/s^2], t counts from its middle, the mass from its
 start t_1, where it is that of the believed tau and thrust. Every quantity in these lines is an
-element; another needs a line in `ELEMENTS`, its place in `force` or `reading`,
-and its derivative in `passes.pyx`. One that `causes` does not name is a cause of its own.
+element; another needs a line in `ELEMENTS`, its place in `force` or `reading`, its derivative in
+`passes.pyx`, and a line in `causes`.
 
 The state is a deviation delta from a track s-bar, theta one from its value:
 

@@ -207,7 +207,8 @@ def _gated(leg: Leg, smoothed: Smoothed) -> bool:
         return False
     if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: there is no model yet
         return False
-    noise = np.sqrt(leg.model.space().noise.sum(axis=0))
+    air = leg.model.disturbance
+    noise = np.repeat([air.position_noise, air.velocity_noise], 2)
     away = np.abs(nodes.measured - smoothed.track[:, :4]) / noise
     out = (nodes.weights == 0.0) & (away > GATE)
     out = nodes.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))

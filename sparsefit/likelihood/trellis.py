@@ -161,5 +161,5 @@ def longest_step(log: FlightLog, model: Model) -> float:
 
 def _widened(track: Array, model: Model) -> Array:
     """A track (m, n) with the states of a model, new ones 0."""
-    states = 4 + len(model.space().walkers)
+    states = 4 + sum(len(process.elements) for process in model.disturbance.processes)
     return np.pad(track[:, :states], ((0, 0), (0, max(states - track.shape[1], 0))))

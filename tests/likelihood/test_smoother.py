@@ -21,7 +21,7 @@ from sparsefit.likelihood import (
 from sparsefit.likelihood import smoother as room
 from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Nodes
-from sparsefit.likelihood.posterior import Posterior, Rung
+from sparsefit.likelihood.posterior import Posterior, at_level
 from sparsefit.likelihood.smoother import LevelSteps, Step, _bounded, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
@@ -201,8 +201,7 @@ def test_levels_are_at_the_maximum():
     assert levels["velocity_noise"] == pytest.approx(0.2, rel=0.1)
     for name in LEVELS[1:]:
         for factor in (0.97, 1.03):
-            there = Rung.of(posterior.legs, np.log(factor), name)
-            assert there.value < posterior.log_likelihood
+            assert at_level(posterior.legs, np.log(factor), name)[0] < posterior.log_likelihood
     # Of the logarithm of a variance, 600 readings hold 600/2, less those of the unknowns.
     assert np.diag(Step.of(posterior.legs).levels[0])[1:] == pytest.approx([300.0] * 2, abs=6.0)
 
@@ -395,9 +394,9 @@ def test_the_spread_of_a_level_adds_its_part_to_the_covariance(bend, rel, monkey
     """Of a normal likelihood of the level's logarithm; a quadratic in it is averaged."""
 
     def rung(_legs, height, _name, _place):
-        return Rung(height, -0.5 * bend * height**2, np.array([[0.4 + 0.7 * height**2]]))
+        return -0.5 * bend * height**2, np.array([[0.4 + 0.7 * height**2]])
 
-    monkeypatch.setattr(Rung, "of", rung)
+    monkeypatch.setattr("sparsefit.likelihood.posterior.at_level", rung)
     model = Model(TRUE, {"response_time": TAU})
     leg = SimpleNamespace(model=model, last=SimpleNamespace(squares=np.full((3, 2), 10.0)))
     own = SimpleNamespace(legs=(leg,), log_likelihood=0.0)
@@ -415,10 +414,16 @@ def test_waves_around_those_of_the_flow_are_two_cells_from_them_and_their_opposi
         return tuple(extra), np.zeros(len(extra)), np.eye(len(extra))
 
     monkeypatch.setattr(Posterior, "scores", scores)
+
+    def blind(names):
+        return np.zeros((len(names), len(names)))
+
     walk = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
     model = Model(TRUE, {"response_time": TAU}, Disturbance(processes=(walk,)))
     legs = (Leg(None, model, None, np.array([[0.0, 0.0], [10.0, 8.0]])),)
     assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0
+    monkeypatch.setattr(Posterior, "scores", lambda _, own: (own, np.ones(len(own)), blind(own)))
+    assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0  # of no wave that is seen
     waves = TRUE.waves[:, :2]
     away = np.array(seen)[:, None] - np.concatenate([waves, -waves])
     cells = away * [10.0, 8.0] / (2.0 * np.pi)
