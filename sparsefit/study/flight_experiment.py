@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -70,8 +70,8 @@ class FlightExperiment(Experiment):
     def cells(self) -> dict[str, list[Any]]:
         """Condition, candidate, title and factors of every cell."""
         cells, protocols = self.design.cells, self.design.protocols
-        worlds = _halves(protocols)
-        readings, words = _halves(protocols, worlds), _setting_words(cells)
+        worlds = _half_words(protocols)
+        readings, words = _half_words(protocols, worlds), _setting_words(cells)
         conditions, candidates, aspects = list[str](), list[str](), list[tuple[str, ...]]()
         for cell in cells:
             own = {k: level for k, level in cell.levels.items() if not _of_flight(k)}
@@ -87,7 +87,6 @@ class FlightExperiment(Experiment):
             "condition": conditions,
             "candidate": candidates,
             "title": [titles[name] for name in candidates],
-            "world": [worlds[cell.protocol] for cell in cells],
             "reading": [readings[cell.protocol] for cell in cells],
             "protocol": [cell.protocol for cell in cells],
             "backend": [cell.backend.name for cell in cells],
@@ -248,39 +247,42 @@ def level_words(key: str, level: object) -> str:
     return f"{key.partition('.')[2]} {words}"
 
 
-def _halves(protocols: Protocols, worlds: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Words for what each protocol changes of the flights or, given their words, of the estimator.
+def _half_words(protocols: Protocols, worlds: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Words for what each protocol sets of the flights or, given their words, of the estimator.
 
-    Protocols that agree in this half share its words: the name of the only one, the parts between
-    commas that all their names have in common, or else the keys and values. Parts that name the
-    flights are left out of the estimator's words where these stay distinct.
+    These are the first that are unambiguous: the parts between commas that the names of all
+    protocols which agree in this half have in common, first without those that name the flights;
+    then the keys and values. Where all protocols agree, there are none.
     """
-    halves: dict[str, list[str]] = {}
-    for name, overrides in protocols.items():
-        own = {k: v for k, v in overrides.items() if _of_flight(k) == (worlds is None)}
-        halves.setdefault(canonical_json(own), []).append(name)
-    if len(halves) == 1:
-        alone = len(protocols) == 1 and any(protocols.values()) and worlds is not None
-        return {name: name if alone else "" for name in protocols}
+    halves = {
+        name: {key: level for key, level in own.items() if _of_flight(key) == (worlds is None)}
+        for name, own in protocols.items()
+    }
+    words = dict[str, tuple[str, ...]]()
+    for name, half in halves.items():
+        alike = [other for other in halves if halves[other] == half]
+        if len(alike) == len(halves):
+            return dict.fromkeys(halves, "")
+        parts, flown = _common(alike), _common(worlds[other] for other in alike) if worlds else []
+        levels = [level_words(key, level) for key, level in half.items()]
+        levels = levels or ([] if worlds else [UNCHANGED])
+        without = [part for part in parts if part not in flown]
+        words[name] = tuple(map(", ".join, (without, parts, levels)))
 
-    def common(names: Iterable[str]) -> list[str]:
-        first, *others = [name.split(", ") for name in names]
-        return [part for part in first if all(part in other for other in others)]
+    def unambiguous(name: str, place: int) -> bool:
+        others = (other for other in words if words[other][place] == words[name][place])
+        return all(halves[other] == halves[name] for other in others)
 
-    words = {half: ", ".join(common(alike)) for half, alike in halves.items()}
-    if worlds is not None:
-        shorter = {}
-        for half, alike in halves.items():
-            flown = common(worlds[name] for name in alike)
-            shorter[half] = ", ".join(part for part in common(alike) if part not in flown)
-        counts = Counter(shorter.values())
-        words |= {half: word for half, word in shorter.items() if word and counts[word] == 1}
-    counts = Counter(words.values())
-    for half, word in words.items():
-        if not word or counts[word] > 1:
-            content = (level_words(key, value) for key, value in json.loads(half).items())
-            words[half] = ", ".join(content) or (UNCHANGED if worlds is None else "")
-    return {name: words[half] for half, alike in halves.items() for name in alike}
+    return {
+        name: next((w for place, w in enumerate(own) if w and unambiguous(name, place)), "")
+        for name, own in words.items()
+    }
+
+
+def _common(names: Iterable[str]) -> list[str]:
+    """The parts between commas that all names share."""
+    first, *others = [name.split(", ") for name in names]
+    return [part for part in first if all(part in other for other in others)]
 
 
 def _titles(aspects: Sequence[tuple[str, ...]]) -> Iterator[str]:

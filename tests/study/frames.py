@@ -18,7 +18,7 @@ def case(flight=0, percent=(0.0, 0.0), status="ok", **more):
     u, scale = 10.0 * (1 + speed / 100), 5.0 * (1 + length / 100)
     row = {
         "flight": flight, "unit": f"{flight:04d}", "condition": "", "split": "all",
-        "protocol": "paper", "world": "", "reading": "", "backend": "lasso", "label": "lasso",
+        "protocol": "paper", "reading": "", "backend": "lasso", "label": "lasso",
         "settings": "{}", "status": status, "reason": "", "flow": "cellular", "seconds": 0.01,
         "certificate": 1e-12, "certificate_kind": "duality_gap", "hit": True, "doubt": "",
         **{f"true_{name}": value for name, value in TRUE.items()},

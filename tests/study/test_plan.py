@@ -88,7 +88,6 @@ WORLDS = "".join(
 
 def test_protocols_are_worlds_and_readings_by_what_they_set(tmp_path: Path) -> None:
     plan = load(tmp_path, HEAD + LASSO + WORLDS).plan()
-    assert plan["world"].unique().tolist() == ["one flow", "noise"]
     assert plan["reading"].unique().tolist() == list(READINGS)
     assert plan["condition"].unique().tolist() == ["one flow", "noise"]
     assert plan["candidate"].nunique() == 4
