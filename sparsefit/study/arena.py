@@ -91,27 +91,20 @@ class Repeats:
 
 @dataclass
 class Case:
-    """A case while it is computed: its contender and tolerance, its times and its columns.
+    """A case while it is computed: its contender, its times and its columns.
 
     points: the number of penalties p, 1 of a back-end without; weights: the answer (p, k, n) of its
     first solve; status and reason: set where the case has ended early.
     """
 
     cell: int
-    number: int
     contender: Contender
-    tolerance: float
     points: int = 1
     repeats: Repeats = field(default_factory=Repeats)
     weights: Array | None = None
     status: str = ""
     reason: str = ""
     values: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def call(self) -> dict[str, Any]:
-        """The arguments of a request that name the contender."""
-        return {"contender": self.number, "tolerance": self.tolerance}
 
     @contextmanager
     def ending(self, where: str = "") -> Iterator[None]:
@@ -140,10 +133,10 @@ class Arena:
 
     design: ProblemDesign
     crew: Crew
-    met: dict[Worker, set[int]] = field(default_factory=dict)
+    met: dict[Worker, set[tuple[str, str]]] = field(default_factory=dict)
     overhead: dict[Worker, float] = field(default_factory=dict)
-    lost: dict[int, NoAnswerError] = field(default_factory=dict)
-    first: dict[int, float] = field(default_factory=dict)
+    lost: dict[tuple[str, str], NoAnswerError] = field(default_factory=dict)
+    first: dict[tuple[str, str], float] = field(default_factory=dict)
     unit: int = field(init=False)
     data: Data = field(init=False)
     file: Path = field(init=False)
@@ -170,8 +163,7 @@ class Arena:
         return list(map(self._outcome, cases))
 
     def _case(self, cell: int) -> Case:
-        number, stop = self.design.cells[cell]
-        case = Case(cell, number, self.design.contenders[number], stop)
+        case = Case(cell, self.design.contenders[cell])
         if not case.contender.missing:
             backend = case.contender.settled
             case.points = len(self.design.fractions) or 1 if own_fraction(backend) else 1
@@ -183,9 +175,10 @@ class Arena:
             raise NoAnswerError("skipped", case.contender.missing)
         case.values["load"] = os.getloadavg()[0]
         for other in cases:
-            looser = other.number == case.number and other.tolerance > case.tolerance
-            if looser and other.status == "timeout":
-                words = f"not tried: at tolerance {other.tolerance:g} {other.reason}"
+            alike = other.contender.names == case.contender.names
+            looser = other.contender.tolerance > case.contender.tolerance
+            if alike and looser and other.status == "timeout":
+                words = f"not tried: at tolerance {other.contender.tolerance:g} {other.reason}"
                 raise NoAnswerError("timeout", words)
         case.weights, *seconds = self._solve(case)
         self._judge(case, case.weights)
@@ -215,8 +208,8 @@ class Arena:
             np.full(shape, np.nan).tofile(file)
             file.flush()
             rows = {"file": str(self.file), "seed": seed, "without": without}
-            into = {"weights": file.name, "shape": shape}
-            ready = worker.ask("ready", {**case.call, **rows, **into}, READY_SECONDS, work=SOLVE)
+            content = {"contender": case.cell, **rows, "weights": file.name, "shape": shape}
+            ready = worker.ask("ready", content, READY_SECONDS, work=SOLVE)
             limit = case.contender.killed(shape[2])
             answer = worker.ask("solve", {}, limit, work=SOLVE, timed=True)
             _in_time(answer, SOLVE)
@@ -241,33 +234,34 @@ class Arena:
 
     def _acquainted(self, case: Case) -> Worker:
         """The worker of a case, its overhead measured, after a first call of the contender."""
-        if case.number in self.lost:
-            raise self.lost[case.number]
+        names = case.contender.names
+        if names in self.lost:
+            raise self.lost[names]
         worker = self.crew.worker(f"solver {case.contender.family}")
         if worker not in self.overhead:
             asks = [worker.ask("nothing", {}, READY_SECONDS, work=SOLVE, timed=True)
                     for _ in range(9)]  # fmt: skip
             self.overhead[worker] = float(np.median([answer.wall for answer in asks]))
-        if case.number in self.met.setdefault(worker, set()):
+        if names in self.met.setdefault(worker, set()):
             return worker
         try:
             limit = case.contender.killed(small_problem().targets, first=True)
-            first = worker.ask("first", case.call, limit, work=FIRST, timed=True)
+            first = worker.ask("first", {"contender": case.cell}, limit, work=FIRST, timed=True)
             _in_time(first, FIRST)
-            self.first.setdefault(case.number, first.wall)
+            self.first.setdefault(names, first.wall)
         except NoAnswerError as failed:
             if failed.lost:
-                self.lost[case.number] = failed
+                self.lost[names] = failed
                 raise
             # One that raises on the small problem may still solve the others.
-        self.met[worker].add(case.number)
+        self.met[worker].add(names)
         return worker
 
     def _judge(self, case: Case, weights: Array) -> None:
         """Certify an answer in a process of its own; the worst of the case counts."""
         path = self.crew.home / "judged.npy"
         np.save(path, weights)
-        content = {"file": str(self.file), "contender": case.number, "weights": str(path)}
+        content = {"file": str(self.file), "contender": case.cell, "weights": str(path)}
         judge = self.crew.worker(JUDGE)
         verdict = judge.ask("verdict", content, 300.0, work="the certificate").content
         case.values["certificate_kind"] = str(verdict.get("kind", ""))
@@ -314,7 +308,8 @@ class Arena:
 
     def _requested(self, case: Case) -> float:
         """The excess that a case may have: its tolerance, or the strictest accuracy of a study."""
-        return ACCURACIES[-1] if math.isnan(case.tolerance) else case.tolerance
+        tolerance = case.contender.tolerance
+        return ACCURACIES[-1] if math.isnan(tolerance) else tolerance
 
     def _outcome(self, case: Case) -> Outcome:
         """The outcome: `ok` where the excess of every answer is at most the one requested."""
@@ -328,7 +323,7 @@ class Arena:
             **case.repeats.columns(self.design.clock),
             **case.values,
             "points": case.points,
-            "first": self.first.get(case.number, math.nan),
+            "first": self.first.get(case.contender.names, math.nan),
         }
         return Outcome(self.unit, case.cell, status, reason[:MAX_REASON], values)
 

@@ -19,7 +19,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,24 +110,17 @@ class ProblemDesign:
     clock: Clock
     holds_out: bool
 
-    @cached_property
-    def cells(self) -> tuple[tuple[int, float], ...]:
-        """The number of each contender with each of its tolerances."""
-        pairs = enumerate(self.contenders)
-        return tuple((number, stop) for number, each in pairs for stop in each.tolerances)
-
     def cell_identities(self) -> list[str]:
         """The settings that determine the rows of each cell: another limit lets others fail."""
         clock = {**asdict(self.clock), "first": 0.0}
         judged = {"folds": FOLDS, "support": IN_USE, "stability": True} if self.holds_out else None
         content = []
-        for number, tolerance in self.cells:
-            c = self.contenders[number]
+        for c in self.contenders:
             code = " ".join(map(data_sets.digest_of, c.files))
             own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
             if c.recipe is not None and c.recipe.start != SolverKeys.start:
                 own.append(c.recipe.start)
-            content.append(canonical_json([own, str(tolerance), self.fractions, clock, judged]))
+            content.append(canonical_json([own, str(c.tolerance), self.fractions, clock, judged]))
         return numbered(map(digest, content))
 
 
@@ -236,14 +229,24 @@ def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
             raise here.at("certified").error(why)
         solver += ", certified" * keys.certified
         label = keys.label or crossing.named(keys.name, settings)
-        if any((c.objective, c.solver) == (label, solver) for c in contenders):
+        if any(other.names == (label, solver) for other in contenders):
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
-        contender = Contender(
-            objective=label, backend=keys.name, settings=settings, solver=solver, tolerances=stops,
-            certified=keys.certified, limit=file.clock.limit, foreign=other, recipe=recipe, **words,
-        )  # fmt: skip
-        contenders.append(contender)
+        contenders += [
+            Contender(
+                objective=label,
+                backend=keys.name,
+                settings=settings,
+                solver=solver,
+                tolerance=stop,
+                certified=keys.certified,
+                limit=file.clock.limit,
+                foreign=other,
+                recipe=recipe,
+                **words,
+            )
+            for stop in stops
+        ]
     return tuple(contenders)
 
 

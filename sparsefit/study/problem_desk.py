@@ -51,19 +51,19 @@ SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Contender:
-    """A solver of an objective, which is a back-end with its settings.
+    """A solver of an objective, which is a back-end with its settings, at a tolerance.
 
-    tolerances: requested ones, loosest first, NaN where it has none; missing: why it cannot run
-    here, empty where it can; family: solvers of one share a process; certified: whether checks of
-    the data and certificates are in its time; limit: of a solve [s]; foreign: whether its code is
-    the user's own; recipe: the solver, None for the back-end's own.
+    tolerance: NaN where it has none; missing: why it cannot run here, empty where it can; family:
+    solvers of one share a process; certified: whether checks of the data and certificates are in
+    its time; limit: of a solve [s]; foreign: whether its code is the user's own; recipe: the
+    solver, None for the back-end's own.
     """
 
     objective: str
     backend: str
     settings: Mapping[str, float | int | str | bool]
     solver: str
-    tolerances: tuple[float, ...]
+    tolerance: float
     missing: str
     family: str
     certified: bool
@@ -103,6 +103,11 @@ class Contender:
     def settled(self) -> Any:
         """The back-end with its settings."""
         return backends.get(self.backend, **self.settings)
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The objective and the solver, which its other tolerances share."""
+        return self.objective, self.solver
 
     @property
     def problem_of(self) -> str:
@@ -172,11 +177,12 @@ def signs_of(rows: int, seed: int) -> tuple[Array, float]:
 
 
 def solve(
-    contender: Contender, problem: RegressionProblem, fractions: Sequence[float], tolerance: float
+    contender: Contender, problem: RegressionProblem, fractions: Sequence[float]
 ) -> Sequence[Solution]:
     """The contender's answers, one per penalty; certified only where that is in its time."""
     backend = contender.settled
-    stop, requested = None if math.isnan(tolerance) else tolerance, tuple(fractions)
+    stop = None if math.isnan(contender.tolerance) else contender.tolerance
+    requested = tuple(fractions)
     if contender.certified:
         data = (problem.theta, problem.target, problem.groups)
         fits = certified_path(RegressionProblem.from_arrays(*data), backend, requested).fits
@@ -227,7 +233,6 @@ class SolverDesk:
     def ready(
         self,
         contender: int,
-        tolerance: float,
         file: str,
         seed: int,
         without: tuple[int, int] | None,
@@ -239,16 +244,16 @@ class SolverDesk:
             self._data = (file, read_rows(file))
         part = part_of(self._data[1], without, seed)
         problem = problem_of(part, partial=without is not None)
-        self._work = (self._contenders[contender], problem, self._fractions, tolerance)
+        self._work = (self._contenders[contender], problem, self._fractions)
         self._into = np.memmap(weights, float, "r+", shape=shape)
         memory = _peak_from_here()
         gc.collect()
         gc.disable()
         return {"memory": memory}
 
-    def first(self, contender: int, tolerance: float) -> Mapping[str, Any]:
+    def first(self, contender: int) -> Mapping[str, Any]:
         """A first call, on a small problem; its answer is not used."""
-        self._work = (self._contenders[contender], small_problem(), self._fractions, tolerance)
+        self._work = (self._contenders[contender], small_problem(), self._fractions)
         self._into = ()
         answer = self.solve()
         gc.collect()

@@ -9,6 +9,7 @@ turns until the median is known; the answer of every timed repeat is checked. A 
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,29 +63,29 @@ class ProblemExperiment(Experiment):
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
-        """Every contender at each of its tolerances."""
-        pairs = [(self.design.contenders[number], stop) for number, stop in self.design.cells]
-        identities = self.design.cell_identities()
-        ends = [f" at {stop:g}" if len(each.tolerances) > 1 else "" for each, stop in pairs]
-        names = [(each.objective, each.solver) for each, _ in pairs]
+        """The contenders, in their titles at a tolerance where they take part at several."""
+        contenders, case_ids = self.design.contenders, self.design.cell_identities()
+        names = [contender.names for contender in contenders]
+        several = Counter(names)
+        ends = [f" at {c.tolerance:g}" if several[c.names] > 1 else "" for c in contenders]
         words = (", ".join(filter(None, each)) for each in telling(names))
+        titles = (name or contenders[0].objective for name in words)
         return {
-            "condition": [""] * len(pairs),
-            "candidate": [digest(name)[:12] for name in identities],
-            "title": [(name or pairs[0][0].objective) + at
-                      for name, at in zip(words, ends, strict=True)],
-            "objective": [contender.objective for contender, _ in pairs],
-            "label": [contender.objective for contender, _ in pairs],
-            "backend": [contender.backend for contender, _ in pairs],
-            "settings": [contender.content for contender, _ in pairs],
-            "solver": [contender.solver for contender, _ in pairs],
-            "tolerance": [stop for _, stop in pairs],
-            "case_id": identities,
-        }  # fmt: skip
+            "condition": [""] * len(contenders),
+            "candidate": [digest(case_id)[:12] for case_id in case_ids],
+            "title": list(map("".join, zip(titles, ends, strict=True))),
+            "label": [objective for objective, _ in names],
+            **{
+                name: [getattr(contender, name) for contender in contenders]
+                for name in ("objective", "backend", "solver", "tolerance")
+            },
+            "settings": [contender.content for contender in contenders],
+            "case_id": case_ids,
+        }
 
     def version(self, cell: int) -> str:
         """The version of the code and of a plug-in, and a digest of the machine."""
-        name = self.design.contenders[self.design.cells[cell][0]].backend
+        name = self.design.contenders[cell].backend
         return f"{code_version(backends.distribution(name))}{ON}{self._machine}"
 
     @cached_property

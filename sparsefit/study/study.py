@@ -209,7 +209,7 @@ class Study(Definition):
         design = self.design
         if not isinstance(design, ProblemDesign):
             raise InputError(f"{self.path}: is a study of flights: call its `estimator`")
-        contender = design.contenders[design.cells[self.cells_of(candidate)[0]][0]]
+        contender = design.contenders[self.cells_of(candidate)[0]]
         settings = dict(contender.settings)
         if design.fractions and hasattr(contender.settled, "alpha_fraction"):
             settings["alpha_fraction"] = "auto"
