@@ -103,7 +103,7 @@ def _checked(args: argparse.Namespace) -> Study:
     with told_with(args.study):
         check_outputs(study)
         check_rule(study)
-        study.experiment.check()
+        study.planned.check()
         if study.definition.selection.on_board:
             with told_with("[select]"):
                 _ = study.refusals  # none can fly

@@ -155,11 +155,16 @@ def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
     real, parts, count = pyarrow.float64(), [np.empty((0, len(order)))], 0
     with regular_file(path, most=MOST_BYTES) as file, _refused(path):
         if path.suffix.lower() == ".csv":
-            (names,) = reader([file.readline(LONGEST_LINE).decode("utf-8-sig")])
+            head = file.readline(LONGEST_LINE).decode("utf-8-sig")
+            between = max(",;\t", key=head.count)
+            (names,) = reader([head], delimiter=between)
             file.seek(0)
-            options = csv.ConvertOptions(column_types=dict.fromkeys(names, real))
-            size = csv.ReadOptions(block_size=LONGEST_LINE)  # which no line is longer than
-            batches = csv.open_csv(file, size, convert_options=options)
+            batches = csv.open_csv(
+                file,
+                csv.ReadOptions(block_size=LONGEST_LINE),  # which no line is longer than
+                csv.ParseOptions(delimiter=between),
+                csv.ConvertOptions(column_types=dict.fromkeys(names, real)),
+            )
         else:
             source = parquet.ParquetFile(file)
             names, batches = source.schema_arrow.names, source.iter_batches()

@@ -26,7 +26,7 @@ from sparsefit.study.crossing import ALPHA, Cell, FlightDesign, Protocols, named
 from sparsefit.study.draw import Logged, Logs
 from sparsefit.study.flight_desk import FlightDesk, truth_of
 from sparsefit.study.manifest import code_version
-from sparsefit.study.plan import Batch, Experiment, telling
+from sparsefit.study.plan import Batch, Plan, telling
 from sparsefit.study.schema import canonical_json, digest, numbered
 from sparsefit.study.worker import Answer, Crew, NoAnswerError
 
@@ -36,10 +36,10 @@ WORK = {"fly": "simulating the flight", "prepare": "building the library", "case
 
 
 @dataclass(frozen=True, eq=False)
-class FlightExperiment(Experiment):
+class FlightExperiment(Plan):
     """Flights x (conditions x readings x back-ends x settings)."""
 
-    columns = FLIGHT_COLUMNS
+    stored = FLIGHT_COLUMNS
 
     @property
     def design(self) -> FlightDesign:
@@ -220,7 +220,7 @@ class FlightExperiment(Experiment):
         Raises:
             NoAnswerError: they are not valid outcomes of these cells.
         """
-        outcomes, kinds = [], kinds_of(self.columns)
+        outcomes, kinds = [], kinds_of(self.stored)
         try:
             for cell, (own, *content) in zip(cells, answer.content["rows"], strict=True):
                 outcome = outcome_of(kinds, unit, own, *content)

@@ -4,8 +4,8 @@
     case = unit x cell,    cell = condition x candidate
 
 A unit is what statistics draw whole (a flight with all its conditions; a regression problem), a
-candidate what is compared. An experiment, of which there are two (flights; problems of regression),
-supplies units, cells and the way in which a batch of cases is run; all else is common.
+candidate what is compared. A kind of study, of which there are two (flights; regression problems),
+says its units, its cells and how a batch of cases is run; all else is common.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 
 from sparsefit.arrays import BoolArray
 from sparsefit.codec import Place, build
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, suggestion
 from sparsefit.study import crossing, keys, schema
 from sparsefit.study.columns import Column, Outcome
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
@@ -149,15 +149,16 @@ class Batch:
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment(Protocol):
-    """A kind of study: its units, its cells, and how a batch of cases is run.
+class Plan(Protocol):
+    """Every case of a study, unit by unit, in the order of the rows of `cases.parquet`.
 
-    columns: of `cases.parquet`, but for swept factors; called: those with the names by which a user
-    may call a cell; alone: whether cases are timed, so that one process works at a time.
+    A kind of study says its units, its cells and how a batch of cases is run. stored: the columns
+    of `cases.parquet`, but for swept factors; called: those with the names by which a user may call
+    a cell; alone: whether cases are timed, so that one process works at a time.
     """
 
     definition: Definition
-    columns: ClassVar[Sequence[Column]]
+    stored: ClassVar[Sequence[Column]]
     called: ClassVar[Sequence[str]] = ("backend", "label", "protocol")
     alone: ClassVar[bool] = False
 
@@ -202,18 +203,10 @@ class Experiment(Protocol):
     def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
         """The class of a desk by its name, and its arguments: what lives in a worker."""
 
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """Every case of a study, unit by unit, in the order of the rows of `cases.parquet`."""
-
-    experiment: Experiment
-
-    @cached_property
+    @property
     def shape(self) -> tuple[int, int]:
         """The numbers of units and cells (u, c)."""
-        units, cells = self.experiment.units, self.experiment.cells
-        return len(units["case_id"]), len(cells["case_id"])
+        return len(self.units["case_id"]), len(self.cells["case_id"])
 
     @property
     def size(self) -> int:
@@ -226,8 +219,8 @@ class Plan:
 
         Any study that plans a case plans it under this id, which is its key in a store.
         """
-        parts = self.experiment.units["case_id"], self.experiment.cells["case_id"]
-        return list(map("-".join, itertools.product(*parts)))
+        parts = itertools.product(self.units["case_id"], self.cells["case_id"])
+        return list(map("-".join, parts))
 
     @cached_property
     def place_of(self) -> dict[str, int]:
@@ -241,12 +234,12 @@ class Plan:
     @cached_property
     def versions(self) -> list[str]:
         """The code that makes the rows of each cell now."""
-        return [self.experiment.version(cell) for cell in range(self.shape[1])]
+        return list(map(self.version, range(self.shape[1])))
 
     @cached_property
     def columns(self) -> dict[str, list[Any]]:
         """Every planned column, a value a case."""
-        (rows, count), units, cells = self.shape, self.experiment.units, self.experiment.cells
+        (rows, count), units, cells = self.shape, self.units, self.cells
         varied = len(set(cells["condition"])) > 1
         return {
             **{name: [value for value in units[name] for _ in range(count)] for name in units},
@@ -254,17 +247,16 @@ class Plan:
             "case_id": self.case_ids,
             "unit": [f"{unit} in {condition}" if varied and condition else str(unit)
                      for unit, condition in itertools.product(units["unit"], cells["condition"])],
-            "study": [self.experiment.definition.name] * self.size,
+            "study": [self.definition.name] * self.size,
         }  # fmt: skip
 
     def counts(self) -> dict[str, Any]:
         """The size of the study, JSON-ready: units, conditions, candidates, levels and cases."""
-        cells = self.experiment.cells
         return {
             "units": self.shape[0],
-            "conditions": [name for name in dict.fromkeys(cells["condition"]) if name],
-            "candidates": list(dict.fromkeys(cells["title"])),
-            "levels": {key: len(set(map(str, cells[key]))) for key in self.experiment.factors()},
+            "conditions": [name for name in dict.fromkeys(self.cells["condition"]) if name],
+            "candidates": list(dict.fromkeys(self.cells["title"])),
+            "levels": {key: len(set(map(str, self.cells[key]))) for key in self.factors()},
             "cases": self.size,
         }
 
@@ -283,18 +275,17 @@ class Plan:
             InputError: where a name is that of nothing in the study.
         """
         wanted: BoolArray = np.zeros(self.shape, dtype=bool)
-        units = list(map(str, self.experiment.units["unit"]))
-        columns = [self.experiment.cells[name] for name in self.experiment.called]
-        called = list(zip(*columns, strict=True))
+        called = list(zip(*(self.cells[column] for column in self.called), strict=True))
         for name in names:
-            cells = np.array([any(fnmatchcase(own, name) for own in each) for each in called])
-            mine: BoolArray = cells | np.array([[fnmatchcase(unit, name)] for unit in units])
+            units = [[fnmatchcase(str(unit), name)] for unit in self.units["unit"]]
+            cells = [any(fnmatchcase(own, name) for own in each) for each in called]
+            mine: BoolArray = np.array(units) | np.array(cells)
             if not mine.any() and name in self.place_of:
                 mine[self.at(self.place_of[name])] = True
             if not mine.any():
-                known = ", ".join(sorted({own for values in columns[1:] for own in values}))
-                words = f"give a back-end, a label, a protocol, a problem, a solver ({known})"
-                study = f"study {self.experiment.definition.name}"
-                raise InputError(f'nothing in {study} is called "{name}": {words} or a case id')
+                near = suggestion(name, {own for each in called for own in each})
+                words = ", ".join((*self.called, "unit")).replace("backend", "back-end")
+                study = f"nothing in study {self.definition.name} is called"
+                raise InputError(f'{study} "{name}"{near}; give a {words} or case id')
             wanted |= mine
         return wanted

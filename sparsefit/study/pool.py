@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
 from typing import Any
 
 from sparsefit.errors import InputError, described, optional
 from sparsefit.study.columns import Outcome
-from sparsefit.study.plan import Batch, Experiment
+from sparsefit.study.plan import Batch, Plan
 from sparsefit.study.worker import TICK, Crew, memory_limit, scratch
 
 
@@ -27,7 +28,7 @@ from sparsefit.study.worker import TICK, Crew, memory_limit, scratch
 # each need a task of their own (36480 libraries instead of 2280 in one shipped study), and its busy
 # workers outlive a parent that is killed.
 def outcomes(
-    experiment: Experiment,
+    plan: Plan,
     batches: Iterator[Batch],
     processes: int,
     idle: Callable[[float], None] = lambda patience: None,
@@ -47,15 +48,15 @@ def outcomes(
                 return
             yield batch
 
-    memory = memory_limit(experiment.definition.rules.max_memory, processes)
+    memory = memory_limit(plan.definition.rules.max_memory, processes)
 
     def work() -> None:
         try:
             with (
                 scratch() as home,
-                closing(Crew(experiment.desk, home, memory=memory, stop=stop)) as crew,
+                closing(Crew(plan.desk, home, memory=memory, stop=stop)) as crew,
             ):
-                for together in experiment.run(taken(), crew):
+                for together in plan.run(taken(), crew):
                     arriving.put(together)
             arriving.put(None)
         except BaseException as error:
@@ -106,7 +107,7 @@ def dask_client(scheduler: str) -> Iterator[Any]:
 
 
 def outcomes_on_dask(
-    client: Any, experiment: Experiment, batches: Iterable[Batch], idle: Callable[[float], None]
+    client: Any, plan: Plan, batches: Iterable[Batch], idle: Callable[[float], None]
 ) -> Generator[Outcome, None, None]:
     """The outcome of every cell of every batch, as its task ends on a dask worker."""
     from distributed import as_completed
@@ -115,7 +116,7 @@ def outcomes_on_dask(
     every = list(batches)
     # A process starts for each task; all are to end at about the same time.
     size = max(1, min(32, len(every) // (4 * max(hands, 1))))
-    there = client.scatter(experiment, broadcast=True)
+    there = client.scatter(replace(plan), broadcast=True)  # without cached columns
     ended, given, tried = as_completed(), dict[str, list[Batch]](), set[Batch]()
 
     def submit(chunk: list[Batch]) -> None:
@@ -140,6 +141,6 @@ def outcomes_on_dask(
         idle(0.0)
 
 
-def run_batches(experiment: Experiment, batches: Sequence[Batch]) -> list[Outcome]:
+def run_batches(plan: Plan, batches: Sequence[Batch]) -> list[Outcome]:
     """The outcomes of batches, computed on a dask worker in a process that can be killed."""
-    return list(outcomes(experiment, iter(batches), 1))
+    return list(outcomes(plan, iter(batches), 1))

@@ -24,7 +24,7 @@ from sparsefit.study.columns import PROBLEM_COLUMNS, Outcome
 from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.data_sets import Data, shipping
 from sparsefit.study.manifest import code_version, processor, versions
-from sparsefit.study.plan import Batch, Experiment, telling
+from sparsefit.study.plan import Batch, Plan, telling
 from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
 from sparsefit.study.schema import canonical_json, digest, numbered
 from sparsefit.study.worker import Crew
@@ -34,10 +34,10 @@ ON = " on "  # between the code and the machine
 
 
 @dataclass(frozen=True, eq=False)
-class ProblemExperiment(Experiment):
+class ProblemExperiment(Plan):
     """Problems x (solvers x tolerances x settings), timed one at a time."""
 
-    columns = PROBLEM_COLUMNS
+    stored = PROBLEM_COLUMNS
     called = ("backend", "objective", "solver")
     alone = True
 

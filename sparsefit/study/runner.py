@@ -102,19 +102,19 @@ def run(
         InputError: if the folder cannot be written, is in use, or is another study's.
         KeyboardInterrupt: interrupted; the rows so far are on the disk.
     """
-    experiment, begun, shown = plan.experiment, time.monotonic(), 0.0
+    begun, shown = time.monotonic(), 0.0
     if processes is not None and not is_integer(processes, 1):
         raise InputError(f"processes must be a whole number of at least 1, not {processes!r}")
-    if experiment.alone and (processes not in (None, 1) or scheduler):
+    if plan.alone and (processes not in (None, 1) or scheduler):
         words = "solvers are timed one at a time, here: leave --processes and --scheduler away"
         raise InputError(words)
     # A container may have fewer processors than the machine.
     here = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
-    count = 1 if experiment.alone else processes or len(here(0))
+    count = 1 if plan.alone else processes or len(here(0))
     named = plan.named(only) if only else True
     with locked(folder), dask_client(scheduler) if scheduler else nullcontext() as client:
         if fresh:
-            experiment.check()  # before rows are discarded
+            plan.check()  # before rows are discarded
             discard(folder, CASES, MANIFEST, *PAGES)
         store = Store.read(folder, plan)
         wanted = ~store.done
@@ -122,17 +122,17 @@ def run(
             wanted |= store.failed
         if stale:
             wanted |= store.stale
-        wanted = experiment.whole(wanted & named, store.done, store.version)
+        wanted = plan.whole(wanted & named, store.done, store.version)
         if store.finished and not wanted.any():
             return RunSummary.of(store, resumed=plan.size)
-        experiment.check()
+        plan.check()
         resumed, total, computed = int((store.done & ~wanted).sum()), int(wanted.sum()), 0
         with Store.opened(folder, plan) as store:
-            batches = experiment.batches(wanted)
+            batches = plan.batches(wanted)
             if client:
-                arriving = outcomes_on_dask(client, experiment, batches, store.sync)
+                arriving = outcomes_on_dask(client, plan, batches, store.sync)
             else:
-                arriving = outcomes(experiment, batches, count, store.sync)
+                arriving = outcomes(plan, batches, count, store.sync)
             tell, first = progress or (lambda *_: None), math.nan
             tell(resumed, resumed + total, None)
             with closing(arriving):
@@ -150,7 +150,7 @@ def run(
             summary = RunSummary.of(store, **made, processes=count)
             if summary.finished:
                 store.export()
-                definition = experiment.definition
+                definition = plan.definition
                 content = {
                     "study": definition.name,
                     "study_hash": definition.hash,
@@ -208,8 +208,8 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
             one case differ (no row is copied then), the folder is in use, or the study is of
             solvers, which are timed by turns in one run.
     """
-    name = plan.experiment.definition.name
-    if plan.experiment.alone:
+    name = plan.definition.name
+    if plan.alone:
         words = "its solvers are timed by turns, in one run: there is nothing to merge"
         raise InputError(f"{name}: {words}")
     merged, stored = list[MergedPart](), dict[Path, list[Row]]()

@@ -98,7 +98,7 @@ class Store:
                 them are of another study.
         """
         made = read_record(folder / MANIFEST) or {}
-        same = made.get("study_hash") == plan.experiment.definition.hash
+        same = made.get("study_hash") == plan.definition.hash
         store = cls(folder, plan, same, [""] * plan.size, [""] * plan.size)
         for row in store._every(brief=True):
             place = None if row is None else plan.place_of.get(row.case_id)
@@ -222,7 +222,7 @@ class Store:
             whole = self.same and file.metadata.num_rows == self.plan.size
             planned = iter(self.plan.case_ids) if whole else None
             there = set(file.schema_arrow.names)
-            own = [name for name in kinds_of(self.plan.experiment.columns)
+            own = [name for name in kinds_of(self.plan.stored)
                    if name in there.difference(self.plan.columns, ENDED) and not brief]  # fmt: skip
             for batch in file.iter_batches(batch_size=BATCH, columns=["case_id", *ENDED, *own]):
                 content = batch.to_pydict()
@@ -242,7 +242,7 @@ class Store:
         starts = range(0, max(len(rows), 1), GROUP)  # one table at least has the columns
         tables = (cases_table(self.plan, rows[start : start + GROUP]) for start in starts)
         first = next(tables)
-        dense = [column.name for column in self.plan.experiment.columns if column.kind.dense]
+        dense = [column.name for column in self.plan.stored if column.kind.dense]
         with (
             whole_file(self.folder / CASES) as file,
             pq.ParquetWriter(
@@ -342,7 +342,7 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     bodies = [json.loads(row.body) for row in rows]
     places = [plan.place_of[row.case_id] for row in rows]
     arrays: dict[str, Any] = {}
-    for column in plan.experiment.columns:
+    for column in plan.stored:
         name, kind, empty = column.name, column.kind, column.kind.empty
         if name in ENDED:
             values = [getattr(row, name) for row in rows]
@@ -351,7 +351,7 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
         else:
             values = [body.get(name, empty) for body in bodies]
         arrays[name] = pa.array(values, type=pa.type_for_alias(kind.arrow))
-    swept: Mapping[str, Any] = getattr(plan.experiment.definition.design, "sweep", {})
+    swept: Mapping[str, Any] = getattr(plan.definition.design, "sweep", {})
     for key, levels in swept.items():
         kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
         arrays[key] = pa.array([plan.columns[key][place] for place in places], type=kind_)

@@ -32,7 +32,6 @@ from sparsefit.study.latency import Latency, measured, read_latencies, write_lat
 from sparsefit.study.plan import (
     Batch,
     Definition,
-    Experiment,
     Plan,
     definition_of,
     read_definition,
@@ -99,16 +98,10 @@ class Study(Definition):
         return Definition(**{item.name: getattr(self, item.name) for item in fields(Definition)})
 
     @cached_property
-    def experiment(self) -> Experiment:
-        """The units and candidates of this kind of study, and how they are run."""
-        if self.kind == "flights":
-            return FlightExperiment(self.definition)
-        return ProblemExperiment(self.definition)
-
-    @cached_property
     def planned(self) -> Plan:
-        """The plan of all cases."""
-        return Plan(self.experiment)
+        """The units and candidates of this kind of study, every case, and how they are run."""
+        kind = FlightExperiment if self.kind == "flights" else ProblemExperiment
+        return kind(self.definition)
 
     def plan(self) -> pd.DataFrame:
         """A row per case: unit, condition, candidate, title and the level of every factor."""
@@ -186,12 +179,12 @@ class Study(Definition):
             except Exception as error:
                 raise SparsefitError(f"{case_id} ends in an error: {described(error)}") from error
             return reading
-        (outcome,) = outcomes(self.experiment, iter([Batch(unit, (cell,))]), 1)
+        (outcome,) = outcomes(self.planned, iter([Batch(unit, (cell,))]), 1)
         return outcome
 
     def cells_of(self, candidate: str) -> list[int]:
         """The indices of the cells of a candidate, one per condition."""
-        candidates = self.experiment.cells["candidate"]
+        candidates = self.planned.cells["candidate"]
         cells = [cell for cell, name in enumerate(candidates) if name == candidate]
         if not cells:
             raise InputError(f"{self.name} plans no candidate {shown(candidate)}: see study.plan()")
@@ -221,7 +214,7 @@ class Study(Definition):
     @property
     def _titles(self) -> dict[str, str]:
         """The title of each candidate."""
-        cells = self.experiment.cells
+        cells = self.planned.cells
         return dict(zip(cells["candidate"], cells["title"], strict=True))
 
     @cached_property

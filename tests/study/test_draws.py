@@ -165,7 +165,7 @@ def test_cases_of_logs_have_an_estimate_and_no_error(folder):
     study = load_logs(folder)
     desk = FlightDesk(study.definition)
     (row,) = desk.cases(2, [0])["rows"]
-    assert study.experiment.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
+    assert study.planned.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
     assert row[1] == "ok"
     assert row[3]["est_length_scale"] == pytest.approx(4.0, rel=1e-3)
 

@@ -61,7 +61,7 @@ def test_the_plan_holds_every_combination_once(tmp_path: Path) -> None:
     assert plan["case_id"].is_unique
     keys = ["flight", "protocol", "flights.velocity_noise", "library.target", "settings", "backend"]
     assert not plan.duplicated(keys).any()
-    assert study.experiment.factors() == {
+    assert study.planned.factors() == {
         "flights.velocity_noise": "condition",
         "library.target": "candidate",
         "readout.mean_velocity": "candidate",
@@ -204,5 +204,5 @@ def test_an_infinite_flow_is_a_row_of_its_own_case(tmp_path: Path) -> None:
     study = load(tmp_path, text + LASSO)
     with pytest.raises(InputError, match=r"timescale must be a finite number .*; got inf"):
         draws(study)
-    assert study.experiment.truth(0, 0) == {}
-    assert study.experiment.truth(4, 0)["flow"] == "cellular"
+    assert study.planned.truth(0, 0) == {}
+    assert study.planned.truth(4, 0)["flow"] == "cellular"

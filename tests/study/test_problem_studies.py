@@ -182,13 +182,13 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
     rng = np.random.default_rng(0)
     frame = pd.DataFrame(rng.normal(size=(40, 3)), columns=["a", "b", "lift"])
     frame["drag"] = 5.0 + frame["a"] - 2.0 * frame["b"]
-    frame.iloc[:30].to_csv(tmp_path / "x.csv", index=False)
+    frame.iloc[:30].to_csv(tmp_path / "x.csv", index=False, sep=";")
     frame.iloc[30:, ::-1].to_parquet(tmp_path / "later.parquet")
     keys = 'file = "x.csv"\ntest = "later.parquet"\nintercept = true\n'
     lasso = '[[backends]]\nname = "lasso"\n'
     entry = f'{PROBLEMS}{lasso}[[problems]]\n{keys}target = ["drag", "lift"]\n'
     study = load(tmp_path, entry)
-    data = study.experiment._data[0]
+    data = study.planned._data[0]
     assert (data.names, data.theta.shape, data.target.shape) == (("a", "b"), (30, 2), (30, 2))
     assert np.abs(data.theta.mean(axis=0)).max() < 1e-15
     np.testing.assert_allclose(data.test[1][:, 0], data.test[0] @ [1.0, -2.0])
@@ -214,6 +214,7 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
         ("a,y\nx,2\n", "invalid value 'x'"),
         ("a,y\n" + "1," * 600_000, "Expected 2 columns, got 600001"),
         ("y\n1\n", "no column beside the target"),
+        ("a;y\n1,5;2\n", "invalid value '1,5'"),
     ],
 )
 def test_what_is_no_table_of_numbers_is_refused(tmp_path, text, said):
@@ -264,10 +265,12 @@ def test_a_data_set_without_its_package_is_refused_before_any_work(tmp_path, mon
 def test_times_are_those_of_whole_comparisons(own):
     study = sf.Study.from_file(own.path)
     named = study.planned.named(["plain steps=1"])
-    whole = study.experiment.whole(named, np.ones(named.shape, bool), [""] * named.size)
+    whole = study.planned.whole(named, np.ones(named.shape, bool), [""] * named.size)
     assert whole.all()
     assert study.planned.named(["iris"]).sum() == 3
     assert read_cases(own.folder)["version"].str.contains(" on ").all()
+    with pytest.raises(InputError, match="give a back-end, objective, solver, unit or case id"):
+        study.planned.named(["theirs"])
     with pytest.raises(InputError, match="one at a time"):
         study.run(processes=2)
 
