@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -205,48 +205,37 @@ def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_se
 def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
     here, recipes = place.within("backends"), _read_solvers(file, place)
-    listed: list[tuple[ContenderKeys, dict[str, Any], str, Recipe | None]] = []
+    listed, entries = list[Contender](), list[ContenderKeys]()
     for keys, grid, settings in crossing.points_of_entries(file.backends, ContenderKeys, here):
         if file.path is not None and crossing.ALPHA in grid:
             raise here.at(crossing.ALPHA).error("is a single fit's: [path] sets the penalties")
+        label, limit = keys.label or crossing.named(keys.name, settings), file.clock.limit
         for name in keys.solver:
-            solvers = recipes.get(name) or [(name, Recipe(name) if name else None)]
-            listed += [(keys, settings, *solver) for solver in solvers]
-    asked = [(keys.name, settings, recipe) for keys, settings, _, recipe in listed]
-    foreign = [_foreign(name, recipe) for name, _, recipe in asked]
-    about = crossing.facts(about_contenders, asked, foreign=any(foreign), place=here)
+            for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]:
+                words = (label, keys.name, settings, solver, recipe, keys.certified, limit)
+                listed.append(Contender(*words, _foreign(keys.name, recipe)))
+                entries.append(keys)
+    foreign = any(contender.foreign for contender in listed)
+    about = crossing.facts(about_contenders, listed, foreign=foreign, place=here)
     contenders: list[Contender] = []
-    for (keys, settings, solver, recipe), other, words in zip(listed, foreign, about, strict=True):
-        if refused := words.pop("refused"):
+    for keys, contender, facts in zip(entries, listed, about, strict=True):
+        recipe = contender.recipe
+        if "refused" in facts:
             own = f"; [[solvers]] has {', '.join(recipes)}" if recipes else ""
-            raise here.error(refused + own * (recipe is not None and recipe.name not in recipes))
-        stops = tuple(sorted(keys.tolerances or file.tolerances, reverse=True))
-        stops = stops if words.pop("stops") else (math.nan,)
-        if its_own := words.pop("solver"):
-            solver, recipe = its_own, None
-        if not words.pop("exact") and keys.certified:
+            known = recipe is None or recipe.name in recipes
+            raise here.error(facts["refused"] + ("" if known else own))
+        if keys.certified and not facts["exact"]:
             why = "is for an exact path of sparsefit: no other certifies its answers"
             raise here.at("certified").error(why)
-        solver += ", certified" * keys.certified
-        label = keys.label or crossing.named(keys.name, settings)
-        if any(other.names == (label, solver) for other in contenders):
+        recipe, solver = (None, facts["solver"]) if facts["solver"] else (recipe, contender.solver)
+        changes = {"family": facts["family"], "missing": facts["missing"], "recipe": recipe}
+        contender = replace(contender, solver=solver + ", certified" * keys.certified, **changes)
+        if any(other.names == contender.names for other in contenders):
+            what = f'lists "{contender.solver}" twice for "{contender.objective}"'
             remedy = "one label is one objective, so give each of its settings a label of its own"
-            raise here.error(f'lists "{solver}" twice for "{label}": {remedy}')
-        contenders += [
-            Contender(
-                objective=label,
-                backend=keys.name,
-                settings=settings,
-                solver=solver,
-                tolerance=stop,
-                certified=keys.certified,
-                limit=file.clock.limit,
-                foreign=other,
-                recipe=recipe,
-                **words,
-            )
-            for stop in stops
-        ]
+            raise here.error(f"{what}: {remedy}")
+        stops = keys.tolerances or file.tolerances if facts["stops"] else (math.nan,)
+        contenders += [replace(contender, tolerance=stop) for stop in sorted(stops, reverse=True)]
     return tuple(contenders)
 
 
@@ -278,31 +267,28 @@ def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, 
     return recipes
 
 
-def about_contenders(
-    asked: Sequence[tuple[str, Mapping[str, Any], Recipe | None]],
-) -> list[dict[str, Any]]:
-    """Of each (back-end, its settings, recipe): its solver, family, whether it stops.
+def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
+    """Of each contender: its solver, family, whether it stops at a tolerance.
 
     solver: the name of the back-end's own, empty where the recipe's counts; exact: whether that is
-    an exact path of sparsefit; missing: why it cannot run here; refused: why it is none.
+    an exact path of sparsefit; missing: why it cannot run here. Of one that is none, the reason why
+    it is `refused`.
     """
     problem, content = small_problem(), []
-    for name, settings, recipe in asked:
-        about: dict[str, Any] = {
-            "solver": "", "exact": False, "family": OURS, "stops": False, "missing": "",
-            "refused": "",
-        }  # fmt: skip
+    for contender in listed:
+        name, recipe = contender.backend, contender.recipe
+        about: dict[str, Any] = dict.fromkeys(("exact", "stops"), False)
+        about |= {"solver": "", "family": OURS, "missing": ""}
         content.append(about)
         try:
-            backend: Any = backends.get(name, **settings)
+            backend = contender.settled
             exact = type(backend).solver if isinstance(backend, PenalisedPath) else ""
             if exact and backend.alpha_fraction == "auto":
                 raise InputError('alpha_fraction = "auto" is many fits: give a number')
             if exact and (recipe is None or recipe.name == exact):
                 about |= {"solver": exact, "exact": True}
             elif recipe is None:
-                family = OURS if name in backends.BACKENDS else name
-                about |= {"solver": name, "family": family}
+                about |= {"solver": name, "family": OURS if name in backends.BACKENDS else name}
             elif not exact:
                 raise InputError(f'{name} has no penalty, so "{recipe.name}" is none of its own')
             else:
@@ -310,8 +296,8 @@ def about_contenders(
                 about |= {"stops": recipe.stops, "missing": recipe.missing}
                 about["family"] = recipe.package or own
                 takes = None if about["missing"] else getattr(recipe.make(), "takes", None)
-                if callable(takes):
-                    about["refused"] = str(takes(backend.penalty(problem)) or "")
+                if callable(takes) and (reason := takes(backend.penalty(problem))):
+                    raise InputError(str(reason))
         except MissingExtra as error:
             about |= {"solver": name, "missing": str(error).removeprefix(f"{name}: ")}
         except (SparsefitError, TypeError, ValueError) as error:

@@ -17,7 +17,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
@@ -322,11 +322,7 @@ def about_backends(
     """
     about = []
     for name, settings in asked:
-        registered: Any = backends.load(name)
-        defaults = {item.name: item.default for item in fields(registered)}
-        backend = backends.get(name, **settings)
+        backend: Any = backends.get(name, **settings)
         canonical = canonical_json(backends.settings_of(backend))
-        content = json.loads(canonical)
-        own = {k: v for k, v in content.items() if v != defaults.get(k, MISSING)}
-        about.append((canonical, canonical_json(own), isinstance(backend, PathBackend)))
+        about.append((canonical, canonical_json(backend), isinstance(backend, PathBackend)))
     return about

@@ -188,7 +188,7 @@ class FlightDesk:
     """
 
     def __init__(self, definition: Definition) -> None:
-        self._definition = definition
+        self._definition, self._cells = definition, definition.flights.cells
         self._estimators: dict[int, Estimator] = {}
         self._flown: tuple[Any, Any] = (None, None)  # which, and the flights
         self._prepared: tuple[Any, Any] = (None, None)  # which, and the regression problem
@@ -199,7 +199,7 @@ class FlightDesk:
 
     def fly(self, unit: int, cells: Sequence[int]) -> None:
         """Simulate or read the flights of a unit in the condition of these cells."""
-        key = (unit, self._definition.flights.cells[cells[0]].setup.flights)
+        key = (unit, self._cells[cells[0]].setup.flights)
         if self._flown[0] != key:
             self._flown = self._prepared = (None, None)
             gc.collect()  # garbage of a flight is not collected in the time of the next
@@ -208,7 +208,7 @@ class FlightDesk:
     def prepare(self, unit: int, cells: Sequence[int]) -> None:
         """Build the regression problem that these cells share."""
         self.fly(unit, cells)
-        setup = self._definition.flights.cells[cells[0]].setup
+        setup = self._cells[cells[0]].setup
         key = (setup.derivative, setup.library, setup.online)
         if self._prepared[0] != key:
             self._prepared = (None, None)
@@ -217,9 +217,7 @@ class FlightDesk:
 
     def _estimator(self, index: int) -> Estimator:
         if index not in self._estimators:
-            self._estimators[index] = estimator_of(
-                self._definition, self._definition.flights.cells[index]
-            )
+            self._estimators[index] = estimator_of(self._definition, self._cells[index])
         return self._estimators[index]
 
     def cases(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
@@ -236,7 +234,7 @@ class FlightDesk:
         self.prepare(unit, cells)
         flown, prepared = self._flown[1], self._prepared[1]
         first, problem = self._estimator(cells[0]), prepared.problem
-        points = [self._definition.flights.cells[index].backend for index in cells]
+        points = [self._cells[index].backend for index in cells]
         if len(cells) > 1 and (fractions := points[0].fractions):
             backend: Any = first.backend
             walked = path(problem, backend, fractions, tolerance=first.tolerance).fits

@@ -49,7 +49,7 @@ FIRST_SECONDS = 120.0  # of a first call that may compile
 SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class Contender:
     """A solver of an objective, which is a back-end with its settings, at a tolerance.
 
@@ -63,13 +63,13 @@ class Contender:
     backend: str
     settings: Mapping[str, float | int | str | bool]
     solver: str
-    tolerance: float
-    missing: str
-    family: str
+    recipe: Recipe | None
     certified: bool
     limit: float
     foreign: bool
-    recipe: Recipe | None
+    tolerance: float = math.nan
+    family: str = ""
+    missing: str = ""
 
     def killed(self, targets: int, *, first: bool = False) -> float:
         """The time [s] after which a solve is killed, longer than a command's own limits.
