@@ -137,21 +137,16 @@ class Draw:
         return PointMassVehicle(response, thrust, self.values.get("drag", 0.0))
 
     @property
-    def believed(self) -> PointMassVehicle | None:
-        """The vehicle that the estimator is given, where it is not the true one."""
-        values, turns = self.values, "thrust_turn" in self.values
-        measured = turns and self.words.thrust_log == "measured"
-        if not any(name in values for name in BELIEFS) and measured == turns:
-            return None
-        push = values.get("believed_thrust_ratio", 1.0)
-        response = values.get("response_time", math.inf)
-        response *= values.get("believed_response_time_ratio", 1.0)
-        drag = values.get("drag", 0.0) * values.get("believed_drag_ratio", 1.0)
+    def believed(self) -> PointMassVehicle:
+        """The vehicle that the estimator is given; the true one, but for what is believed of it."""
+        values, vehicle = self.values, self.vehicle
+        response = vehicle.response_time * values.get("believed_response_time_ratio", 1.0)
+        drag = vehicle.drag * values.get("believed_drag_ratio", 1.0)
         if "believed_response_time" in values:
             response, drag = values["believed_response_time"], 0.0
-        if measured:
+        push, (x, y) = values.get("believed_thrust_ratio", 1.0), self._pair("thrust")
+        if "thrust_turn" in values and self.words.thrust_log == "measured":
             return PointMassVehicle(response, (0.0, 0.0), drag, thrust_scale=push)
-        x, y = self._pair("thrust")
         return PointMassVehicle(response, (push * x, push * y), drag)
 
     def fly(self, seed: np.random.SeedSequence) -> Flight:
@@ -188,7 +183,7 @@ class Draw:
         faults = LogFaults(**given)
         if faults != LogFaults():
             flight = faults.spoil(flight, _child(seed, 100))
-        return flight if self.believed is None else replace(flight, vehicle=self.believed)
+        return replace(flight, vehicle=self.believed)
 
     def fleet(self, seed: np.random.SeedSequence) -> tuple[Flight, ...]:
         """The flights that are estimated together: this one, and others from other places."""

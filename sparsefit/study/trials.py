@@ -178,15 +178,14 @@ class Trials:
         A candidate that violates another constraint need not be timed.
         """
         cases, flown = self.cases, measures.in_flow(self.cases)
+        silent = error = np.zeros(len(cases))
+        if "est_mean_velocity" in cases:
+            silent = measures.MEASURES["silent-misses"].read(cases)
+            error = measures.MEASURES["largest-error"].read(cases)
 
         def by_regime(values: Array) -> Array:
             return pooled_regimes(self.grid(values))
 
-        silent = error = np.zeros(len(cases))
-        if "est_mean_velocity" in cases:
-            silent, error = (
-                measures.MEASURES[name].read(cases) for name in ("silent-misses", "largest-error")
-            )
         largest = resampling.quantile(by_regime(error), 0.95)
         is_flown = (by_regime(flown.astype(float)) > 0).any(axis=-1)
         values = {
@@ -197,15 +196,14 @@ class Trials:
         for name, column in TIMED.items():
             times = [timed.get(each, {}).get(column, math.inf) for each in self.candidates]
             values[name] = np.array(times)[:, None]
-        every: list[list[Breach]] = [[] for _ in self.candidates]
+        every = [list[Breach]() for _ in self.candidates]
         for name, levels in values.items():
-            limit = getattr(rule, name)
-            for broken, own in zip(every, np.nan_to_num(levels, nan=-np.inf, posinf=np.inf),
-                                   strict=True):  # fmt: skip
+            if (limit := getattr(rule, name)) is None:
+                continue
+            for broken, own in zip(every, np.where(np.isnan(levels), -np.inf, levels), strict=True):
                 place = int(own.argmax())
-                is_untimed = name in TIMED and np.isinf(own[place])
-                is_broken = any(breach.constraint not in TIMED for breach in broken)
-                if limit is not None and own[place] > limit and not (is_untimed and is_broken):
+                untimed = name in TIMED and np.isinf(own[place])
+                if own[place] > limit and not (untimed and broken):
                     where = self.criterion.regimes[place] if len(own) > 1 else ""
                     broken.append(Breach(name, where, float(own[place]), limit))
         return [tuple(broken) for broken in every]

@@ -191,7 +191,7 @@ def test_a_changed_study_computes_its_new_cases_and_drops_others_when_it_is_fini
 def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
     split = "[split]\nvalidate = 1\nevaluate = 2"
     study = changed(whole, tmp_path, WHOLE + split)
-    with pytest.raises(InputError, match=r'"laso": did you mean "lasso"\?; give a back-end, label, protocol'):
+    with pytest.raises(InputError, match=r'"lasso"\?; give a back-end, label, protocol, unit or'):
         study.run(only=["laso"], fresh=True)  # and nothing is lost
     monkeypatch.setattr(manifest, "_digest", lambda: "other")
     later = sf.Study.from_file(tmp_path / "s.toml")
