@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from datetime import timedelta
@@ -54,10 +55,22 @@ def entries(record: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
 
 
 def rows(pairs: Iterable[tuple[str, str]], width: int = 0) -> list[str]:
-    """Lines `label  value` with all values below each other; width [characters] at least."""
+    """Lines `label  value` with all values below each other; width [characters] at least.
+
+    On a terminal, a longer value, the reason of a failure say, is folded below its beginning.
+    """
     table = list(pairs)
     width = max([width, *(len(label) for label, _ in table)])
-    return [f"{label:<{width}}  {value}".rstrip() for label, value in table]
+    lines = [f"{label:<{width}}  {value}".rstrip() for label, value in table]
+    if not sys.stdout.isatty():
+        return lines
+    folded = textwrap.TextWrapper(
+        max(terminal_width(), width + 20),
+        subsequent_indent=" " * (width + 2),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return list(map(folded.fill, lines))
 
 
 def coloured(status: str) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from sparsefit.cli import main
+from sparsefit.cli.terminal import rows
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.flight.flow import ShapedCells, SuperposedFlow
 from sparsefit.flight.waves import Turbulence
@@ -366,3 +367,14 @@ def test_repairs_are_told_and_can_be_left_out(capsys, flight):
     assert json.loads(out)["repairs"]["outliers"] == 2
     kept = ("--set", "derivative.repair=false")
     assert "repaired" not in run(capsys, "estimate", "dirty.csv", *kept, *COARSE)[1]
+
+
+def test_a_long_reason_is_folded_on_a_terminal_alone(monkeypatch):
+    pairs = [("status", "error"), ("reason", " ".join(["samples are too few"] * 9))]
+    assert [len(line) for line in rows(pairs)] == [13, 187]
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "60")
+    folded = "\n".join(rows(pairs)).splitlines()
+    assert max(map(len, folded)) <= 60
+    assert all(line.startswith(" " * 8) for line in folded[2:])
+    assert " ".join(folded).split() == " ".join(map(" ".join, pairs)).split()
