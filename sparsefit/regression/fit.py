@@ -74,16 +74,13 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
     order = np.argsort(-wanted, kind="stable")
     fractions = tuple(wanted[order].tolist())
     points = [dataclasses.replace(backend, alpha_fraction=each) for each in fractions] or [backend]
-    start, raw, seconds = perf_counter(), [], []
+    start = perf_counter()
     with quiet():
         if fractions and isinstance(backend, PathBackend):
             raw = list(backend.solve_path(problem, fractions))
-            seconds = [(perf_counter() - start) / len(points)] * len(points)
         else:
-            for point in points:
-                begun = perf_counter()
-                raw.append(point.solve(problem))
-                seconds.append(perf_counter() - begun)
+            raw = [point.solve(problem) for point in points]
+    seconds = (perf_counter() - start) / len(points)
     if len(raw) != len(points):
         words = f"{len(raw)} solutions for a path of {len(points)} penalties"
         raise InputError(f"back-end {backend.name!r} returned {words}")
@@ -91,24 +88,28 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
     problem.refuse_changes()
     penalty = backend.penalty(problem) if fractions else None
     unit = problem.alpha_max(penalty) if penalty else math.nan
-    at = [i for i, solution in enumerate(solutions) if _finite(solution)]
-    certificates = dict[int, Certificate | None]()
+    pairs, certificates = list(zip(points, solutions, strict=True)), list[Certificate | None]()
     if penalty and backend.certificate_kind == "duality_gap":
-        weights = np.array([solutions[i].weights for i in at])
-        asked = (weights, unit * np.array(fractions)[at], penalty)
-        certificates |= zip(at, duality_gaps(problem.design, problem.target, *asked), strict=True)
+        usable = [each.weights for each in solutions if each.weights is not None]
+        alphas = unit * np.array(fractions)[[each.weights is not None for each in solutions]]
+        asked = (problem.design, problem.target, np.array(usable), alphas, penalty)
+        gaps = iter(duality_gaps(*asked))
+        certificates = [None if each.weights is None else next(gaps) for each in solutions]
     else:
-        certificates |= {i: certificate_of(problem, points[i], solutions[i]) for i in at}
+        certificates = [certificate_of(problem, *pair) for pair in pairs]
     fits = [
-        _judged(problem, point, solution, certificates.get(i), spent, tolerance)
-        for i, (point, solution, spent) in enumerate(zip(points, solutions, seconds, strict=True))
+        _judged(problem, *pair, certificate, seconds, tolerance)
+        for pair, certificate in zip(pairs, certificates, strict=True)
     ]
     in_turn = tuple(fits[place] for place in np.argsort(order).tolist()) or tuple(fits)
     return Path(wanted, unit, in_turn, perf_counter() - start)
 
 
 def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> Solution:
-    """The solution with its weights (k, n) as floats. Raises InputError on any other return."""
+    """The solution with weights (k, n) of floats, None where it failed or they are not finite.
+
+    Raises InputError on any other return.
+    """
     where = f"back-end {backend.name!r} returned"
     if not isinstance(solution, Solution):
         raise InputError(f"{where} {type(solution).__name__}, not a Solution")
@@ -122,7 +123,8 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
         raise InputError(f"{where} weights that are no array of real numbers") from None
     if weights.shape != (right := (problem.columns, problem.targets)):
         raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
-    return dataclasses.replace(solution, weights=weights)
+    usable = solution.status != "error" and bool(np.isfinite(weights).all())
+    return dataclasses.replace(solution, weights=weights if usable else None)
 
 
 def certificate_of(
@@ -132,9 +134,9 @@ def certificate_of(
 
     Of a fixed point: the change of support and of fitted values by one more iteration.
     """
-    if not _finite(solution):
+    weights = solution.weights
+    if weights is None or not np.isfinite(weights).all():
         return None
-    weights = np.asarray(solution.weights)
     size = float(np.linalg.norm(problem.target))
     if backend.certificate_kind == "normal_equations":
         residual, spectrum = problem.target - problem.rows @ weights, problem.spectrum
@@ -152,12 +154,6 @@ def certificate_of(
     changed = int(np.sum((following != 0) != (weights != 0)))
     changed_share = changed / max(int(np.count_nonzero(weights)), 1)
     return Certificate("fixed_point", changed_share if changed_share > share else share)
-
-
-def _finite(solution: Solution) -> bool:
-    """Whether the solution has finite weights and its solver did not fail."""
-    weights = solution.weights
-    return solution.status != "error" and weights is not None and bool(np.isfinite(weights).all())
 
 
 def _judged(

@@ -1,4 +1,4 @@
-"""Penalties of norms of groups of columns: the group-LASSO's, and the sparse-group LASSO's.
+"""Norms of groups of columns: the penalties of the group-LASSO and of the sparse-group LASSO.
 
 Sources: Yuan and Lin, J. R. Stat. Soc. B 68 (2006) 49-67; Simon, Friedman, Hastie and Tibshirani,
 J. Comput. Graph. Stat. 22 (2013) 231-245; Ndiaye, Fercoq, Gramfort and Salmon, "GAP safe screening
@@ -19,11 +19,12 @@ from sparsefit.regression.penalties import AbsoluteValues, Penalty, Slope
 
 @dataclass(frozen=True, eq=False)
 class GroupNorms(Penalty):
-    """sum_g omega_g |V_g| over groups of columns, over all targets together (``together``) or each.
+    """The group-LASSO's norm, sum_g omega_g |V_g|.
 
-    groups (k,) numbers the group of each column, 0..g-1; weights omega (g,) > 0. With U_g the
-    values before the prox, u = U_g/|U_g| and s = step omega_g/|U_g|, the factor of the prox's
-    derivative is the root of (1 - s) (I - u u') + u u'.
+    A block V_g has the rows of a group and all targets (``together``), or one target of each. The
+    array groups (k,) holds the number of each column's group, 0..g-1; weights holds omega (g,) > 0.
+    The prox shrinks a block U_g by the factor 1 - s, s = step omega_g/|U_g|, down to 0; its
+    derivative is (1 - s) (I - u u') + u u', u = U_g/|U_g|, of which ``root`` is the square root.
     """
 
     groups: IntArray
@@ -44,12 +45,9 @@ class GroupNorms(Penalty):
 
     def block_norms(self, values: Array) -> Array:
         """Norms |V_g| of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
-        # Scaled by the largest entry: squares of 1e-200 would vanish.
-        peak = float(max(values.max(initial=0.0), -values.min(initial=0.0))) or 1.0
-        scaled = values / peak
-        scaled *= scaled
-        norms: Array = peak * np.sqrt(block_sums(scaled, *self._layout, self.together))
-        return norms
+        peak = float(np.abs(values).max(initial=0.0)) or 1.0  # squares of 1e-200 would vanish
+        square = folded(np.add, (values / peak) ** 2, *self._layout, self.together)
+        return np.asarray(peak * np.sqrt(square))
 
     def norm(self, values: Array) -> Array:
         total: Array = (self.block_norms(values) * self.weights[:, None]).sum(axis=(-2, -1))
@@ -73,7 +71,7 @@ class GroupNorms(Penalty):
         return on, self.root(on, origin, step)
 
     def root(self, on: IntArray, origin: Array, step: float) -> Any:
-        """N (c, c) on the coefficients ``on`` of groups that are not zero."""
+        """The root N (c, c) of the derivative on the coefficients ``on``; None where it is I."""
         from scipy.sparse import csc_array, diags_array
 
         if not len(on):
@@ -100,18 +98,19 @@ class GroupNorms(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class NestedNorms(Penalty):
-    """sum_g omega_g |V_g| + sum_h lambda_h |V_h|, a block h in one group g.
+    """The sparse-group LASSO's norm, sum_g omega_g |V_g| + sum_h lambda_h |V_h|.
 
-    outer: groups g; inner: blocks h, coefficients or groups that are joint only if the outer
-    ones are. For one group the dual norm is the tau > 0 with
+    Each inner block h lies in one group g. The outer norms are of the groups, the inner ones of
+    coefficients or of subgroups, which may be joint over targets only if the groups are. The dual
+    norm of a group is the tau > 0 with
 
-        sum_{h in g} (|C_h| - tau lambda_h)_+^2 = (tau omega_g)^2,
+        sum_{h in g} (|C_h| - tau lambda_h)_+^2 = (tau omega_g)^2.
 
-    found in x = 1/tau by Newton's method on |(x |C_h| - lambda_h)_+| - omega_g, which is convex and
-    increasing: from above it falls to the root, and the chord to where it is -omega_g gives a tau
-    that is proven not to be too small. The prox is the inner one, then the outer one (Jenatton,
-    Mairal, Obozinski and Bach, J. Mach. Learn. Res. 12 (2011) 2297-2334); the roots of both
-    derivatives commute, and the factor is their product.
+    Newton's method finds x = 1/tau as the root of |(x |C_h| - lambda_h)_+| - omega_g, which is
+    convex and increases: the iterates fall to the root, and the chord from the last of them to the
+    x where the function is -omega_g gives a tau that is proven not to be too small. The prox is the
+    inner one, then the outer one (Jenatton, Mairal, Obozinski and Bach, J. Mach. Learn. Res. 12
+    (2011) 2297-2334); the roots of both derivatives commute, and N is their product.
     """
 
     outer: GroupNorms
@@ -129,37 +128,30 @@ class NestedNorms(Penalty):
         return self.outer.norm(values) + self.inner.norm(values)
 
     def block_dual_norms(self, values: Array) -> Array:
-        outer, joint = self.outer, self.outer.together
-        home = np.zeros(len(self.inner.weights), dtype=np.intp)
-        home[self.inner.blocks] = outer.groups
+        outer, inner = self.outer, self.inner
+        home = np.zeros(len(inner.weights), dtype=np.intp)
+        home[inner.blocks] = outer.groups
         order, starts = in_order(home, len(outer.weights))
-        sizes = self.inner.block_dual_norms(values) * self.inner.weights[:, None]
-        member, inner = np.sort(home), self.inner.weights[:, None]
-        if order is not None:
-            sizes, inner = sizes[..., order, :], inner[order]
+        sizes = inner.block_dual_norms(values) * inner.weights[:, None]
+        order = np.arange(len(home)) if order is None else order
+        sizes, price, group = sizes[..., order, :], inner.weights[order, None], home[order]
         omega = outer.weights[:, None]
 
-        def highest(parts: Array) -> Array:
-            peaks: Array = np.maximum.reduceat(parts, starts, axis=-2)
-            return peaks.max(axis=-1, keepdims=True) if joint else peaks
+        def over_blocks(fold: np.ufunc, parts: Array) -> Array:
+            return folded(fold, parts, None, starts, outer.together)
 
         with np.errstate(over="ignore"):  # lambda near 0: the bound is of no use then
-            largest, floor = highest(sizes / (inner + omega[member])), highest(sizes / inner)
-        live = largest > 0
-        x = np.where(live, 1.0 / np.where(live, largest, 1.0), 0.0)
+            x = _inverse(over_blocks(np.maximum, sizes / (price + omega[group])))
+            least = _inverse(over_blocks(np.maximum, sizes / price))
         for _ in range(60):
-            excess = np.maximum(sizes * x[..., member, :] - inner, 0.0)
-            length = np.sqrt(block_sums(excess**2, None, starts, joint))
-            slope = block_sums(sizes * excess, None, starts, joint) / np.where(
-                length > 0, length, 1
-            )
-            step = np.where(length > omega, (length - omega) / np.where(slope > 0, slope, 1.0), 0.0)
+            excess = np.maximum(sizes * x[..., group, :] - price, 0.0)
+            length = np.sqrt(over_blocks(np.add, excess**2))
+            slope = over_blocks(np.add, sizes * excess) / np.where(length > 0, length, 1.0)
+            step = np.maximum(length - omega, 0.0) * _inverse(slope)
             if not np.any(step > 1e-15 * x):
                 break
             x = x - step
-        least = np.where(live, 1.0 / np.where(live, floor, 1.0), 0.0)
-        below = least + (x - least) * omega / np.maximum(omega, length)
-        return np.where(live, 1.0 / np.where(live, below, 1.0), 0.0)
+        return _inverse(least + (x - least) * omega / np.maximum(omega, length))
 
     def restricted(self, index: IntArray) -> Self:
         return replace(self, outer=self.outer.restricted(index), inner=self.inner.restricted(index))
@@ -191,9 +183,16 @@ def in_order(groups: IntArray, count: int) -> tuple[IntArray | None, IntArray]:
     return order, np.searchsorted(groups, np.arange(count))
 
 
-def block_sums(values: Array, order: IntArray | None, starts: IntArray, joint: bool) -> Array:
-    """Sums over blocks of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
+def folded(
+    fold: np.ufunc, values: Array, order: IntArray | None, starts: IntArray, joint: bool
+) -> Array:
+    """Sums or maxima over blocks of values (..., k, n): (..., g, n), or (..., g, 1) when joint."""
     if order is not None:
         values = values[..., order, :]
-    sums = np.add.reduceat(values, starts, axis=-2)
-    return sums.sum(axis=-1, keepdims=True) if joint else sums
+    blocks = fold.reduceat(values, starts, axis=-2)
+    return np.asarray(fold.reduce(blocks, axis=-1, keepdims=True) if joint else blocks)
+
+
+def _inverse(values: Array) -> Array:
+    """1 / values; 0 where they are 0."""
+    return np.divide(1.0, values, out=np.zeros_like(values), where=values > 0)

@@ -1,4 +1,4 @@
-"""Penalties of weights in an order: SLOPE's, by their size, and the fused LASSO's, by their place.
+"""Norms of weights in an order: SLOPE's by their size, the fused LASSO's by their place.
 
 Sources: Bogdan, van den Berg, Sabatti, Su and Candes, Ann. Appl. Stat. 9 (2015) 1103-1140;
 Tibshirani, Saunders, Rosset, Zhu and Knight, J. R. Stat. Soc. B 67 (2005) 91-108; Friedman,
@@ -18,11 +18,12 @@ from sparsefit.regression.penalties import Penalty, Slope, soft
 
 @dataclass(frozen=True, eq=False)
 class SortedNorm(Penalty):
-    """SLOPE, sum_i lambda_i |V|_(i), |V|_(1) >= |V|_(2) >= ...: lambda (k,) > 0 descends.
+    """SLOPE's norm of each target, sum_i lambda_i |V|_(i), |V|_(1) >= |V|_(2) >= ...
 
+    The array weights holds lambda (k,) > 0, which descends; j columns of the k have the j largest.
     The dual norm is max_i (|C|_(1) + ... + |C|_(i)) / (lambda_1 + ... + lambda_i). The prox is the
-    isotonic regression of the sorted |V| less step lambda; its derivative takes the mean over each
-    cluster of equal |V|. On few columns it has the largest lambdas, as if the others were zero.
+    isotonic regression of the sorted |V| less step lambda; its derivative is the mean over each
+    cluster of equal |V|.
     """
 
     weights: Array
@@ -88,12 +89,13 @@ class SortedNorm(Penalty):
 
 @dataclass(frozen=True, eq=False)
 class FusedNorm(Penalty):
-    """r sum_j |V_j| + (1 - r) sum_j |V_(j+1) - V_j|, for columns in an order; 0 < r <= 1.
+    """The fused LASSO's norm of each target, r sum_j |V_j| + (1 - r) sum_j |V_(j+1) - V_j|.
 
-    By level sets the unit ball's corners are runs of equal weights, so that the dual norm is the
-    largest |sum of C over a run| / (r length + (1 - r) ends), of ends that are not the first or the
-    last column; found by Dinkelbach's method, in k operations a turn. The prox is that of the total
-    variation, then soft thresholding; its derivative takes the mean over each run of equal weights.
+    The number ``count`` is k, the ratio r in (0, 1]. The corners of the unit ball are runs of equal
+    weights, as level sets show. The dual norm is therefore the largest |sum of C over a run| /
+    (r length + (1 - r) ends), where the first and the last column are no ends; Dinkelbach's method
+    finds it in k operations a turn. The prox is that of the total variation, then soft
+    thresholding; its derivative is the mean over each run of equal weights.
     """
 
     count: int
@@ -150,7 +152,7 @@ class FusedNorm(Penalty):
 
 
 def _means(block: IntArray, signs: Array) -> Any:
-    """N (c, d) whose column of a block of b coefficients holds their signs over sqrt(b)."""
+    """The factor N (c, d) of means over blocks: a block of b entries has their signs / sqrt(b)."""
     from scipy.sparse import csc_array
 
     size = np.sqrt(np.bincount(block))
@@ -159,7 +161,7 @@ def _means(block: IntArray, signs: Array) -> Any:
 
 
 def _taut(y: Array, limit: float) -> Array:
-    """argmin |x - y|^2/2 + limit sum |x_(i+1) - x_i|: the taut string in a tube of that radius."""
+    """The argmin of |x - y|^2/2 + limit sum |x_(i+1) - x_i|: a taut string in a tube."""
     sums, x = np.concatenate([[0.0], np.cumsum(y)]).tolist(), np.empty(len(y))
     k, start, height = len(y), 0, 0.0
     while start < k:
