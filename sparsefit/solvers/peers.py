@@ -96,9 +96,9 @@ class Task:
 
     @cached_property
     def gram(self) -> Array:
-        """X'X/m (k, k), dense."""
-        gram = self.design.T @ self.design / self.samples
-        return gram if isinstance(gram, np.ndarray) else gram.toarray()
+        """X'X/m (k, k) of a dense X."""
+        gram: Array = self.design.T @ self.design / self.samples
+        return gram
 
     @cached_property
     def triangle(self) -> tuple[Array, Array]:
@@ -184,29 +184,23 @@ def _interpolated(knots: Array, coefficients: Array, alphas: Array) -> Array:
 
     Below the last knot, where a path broke off, its last coefficients are all there is.
     """
-    if len(knots) == 1:
-        return np.repeat(coefficients.T, len(alphas), axis=0)
-    alphas = np.clip(alphas, knots[-1], knots[0])
-    upper = np.clip(np.searchsorted(-knots, -alphas, side="left"), 1, len(knots) - 1)
-    width = knots[upper - 1] - knots[upper]
-    share = np.where(width > 0, (knots[upper - 1] - alphas) / np.where(width > 0, width, 1.0), 1.0)
-    between: Array = coefficients[:, upper - 1] * (1 - share) + coefficients[:, upper] * share
-    return between.T
+    values = np.zeros((len(alphas), len(coefficients)))
+    for j in np.flatnonzero(coefficients.any(axis=1)):
+        values[:, j] = np.interp(alphas, knots[::-1], coefficients[j, ::-1])
+    return values
 
 
 def by_scikit_learn_lars(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """Breakpoints of scikit-learn's LARS (Efron et al. 2004); iterations: events per column."""
     linear_model: Any = import_module("sklearn.linear_model")
-    most = iterations * len(task.groups)
-    shared = {"method": "lasso", "alpha_min": float(task.fractions[-1]), "max_iter": most}
+    ends = {"alpha_min": float(task.fractions[-1]), "max_iter": iterations * len(task.groups)}
     if task.tall:
-        knots, _, values = linear_model.lars_path_gram(
-            *(task.cross(targets) * task.samples, task.gram * task.samples),
-            **shared, n_samples=task.samples, copy_Gram=False,
-        )  # fmt: skip
+        sums = task.cross(targets) * task.samples, task.gram * task.samples
+        more = {"n_samples": task.samples, "copy_Gram": False}
+        knots, _, values = linear_model.lars_path_gram(*sums, method="lasso", **more, **ends)
     else:
-        target = np.ascontiguousarray(task.target[:, targets])[:, 0]
-        knots, _, values = linear_model.lars_path(task.design, target, Gram=None, **shared)
+        rows = task.design, np.ascontiguousarray(task.target[:, targets])[:, 0]
+        knots, _, values = linear_model.lars_path(*rows, Gram=None, method="lasso", **ends)
     return _interpolated(knots, values, task.fractions)
 
 
@@ -214,17 +208,20 @@ def by_spams(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """Breakpoints of the LARS of SPAMS; iterations: events per row or column."""
     spams: Any = import_module("spams")
     root, columns = math.sqrt(task.samples), len(task.groups)
+    target = np.asfortranarray(task.target[:, targets] / root)
     cross = np.asfortranarray(task.cross(targets)[:, None])
     if task.tall:
         data = {"Q": np.array(task.gram, order="F"), "q": cross}
     else:
         data = {"D": np.asfortranarray(task.design / root)}
-    _, steps = spams.lasso(
-        np.asfortranarray(task.target[:, targets] / root), **data, return_reg_path=True,
-        lambda1=float(task.fractions[-1]), mode=spams.PENALTY, numThreads=1,
-        max_length_path=iterations * min(task.samples, columns),
-    )  # fmt: skip
-    values = np.hstack([np.zeros((columns, 1)), np.asarray(steps)])
+    ends = {
+        "lambda1": float(task.fractions[-1]),
+        "max_length_path": iterations * min(task.samples, columns),
+    }
+    form = {"mode": spams.PENALTY, "return_reg_path": True, "numThreads": 1}
+    _, steps = spams.lasso(target, **data, **form, **ends)
+    breakpoints = np.asarray(steps)[:, np.any(steps, axis=0)]  # which zeros follow
+    values = np.hstack([np.zeros((columns, 1)), breakpoints])
     # It returns the breakpoints without their penalties: the largest correlation there is one.
     fitted = task.gram @ values if task.tall else data["D"].T @ (data["D"] @ values)
     knots = np.minimum.accumulate(np.abs(cross - fitted).max(axis=0))
@@ -234,30 +231,30 @@ def by_spams(task: Task, targets: slice, stop: float, iterations: int) -> Array:
 def by_scikit_learn_cd(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """Coordinate descent of scikit-learn, each point from the last; stop: of its gap."""
     linear_model: Any = import_module("sklearn.linear_model")
-    form: dict[str, Any] = {"precompute": False}
-    if task.tall:
-        form = {"precompute": task.gram * task.samples, "Xy": task.cross(targets) * task.samples}
     (alphas, ratio), values = task.elastic, [np.zeros(len(task.groups))]
-    target = np.ascontiguousarray(task.target[:, targets])[:, 0]
+    sums: dict[str, Any] = {"precompute": False}
+    if task.tall:
+        sums = {"precompute": task.gram * task.samples, "Xy": task.cross(targets) * task.samples}
+    more = {"l1_ratio": ratio, "tol": stop, "max_iter": iterations, "check_input": False, **sums}
+    rows = task.design, np.ascontiguousarray(task.target[:, targets])[:, 0]
     for alpha in alphas.tolist():
-        # It works in place on what it is given.
-        _, coefficients, _ = linear_model.enet_path(
-            task.design, target, l1_ratio=ratio, alphas=[alpha], tol=stop,
-            coef_init=values[-1].copy(), max_iter=iterations, check_input=False, **form,
-        )  # fmt: skip
-        values.append(coefficients[:, 0].copy())
+        start = values[-1].copy()  # it works in place on what it is given
+        _, path, _ = linear_model.enet_path(*rows, alphas=[alpha], coef_init=start, **more)
+        values.append(path[:, 0].copy())
     return np.stack(values[1:])
 
 
 def by_celer(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """``celer_path`` (Massias, Gramfort and Salmon 2018); stop: of its gap over |y|^2."""
-    (alphas, ratio), single = task.elastic, task.kind in SINGLE
     package: Any = import_module("celer")
-    _, coefficients, *_ = package.celer_path(
-        *task.rows(targets), "lasso" if single else "grouplasso", alphas=alphas, l1_ratio=ratio,
-        groups=None if single else [block.tolist() for block in task.blocks(targets)],
-        max_iter=iterations, tol=stop,
-    )  # fmt: skip
+    alphas, ratio = task.elastic
+    form: dict[str, Any] = {"pb": "lasso"}
+    if task.kind not in SINGLE:
+        groups = [block.tolist() for block in task.blocks(targets)]
+        form = {"pb": "grouplasso", "groups": groups}
+    ends = {"max_iter": iterations, "tol": stop}
+    rows = task.rows(targets)
+    _, coefficients, *_ = package.celer_path(*rows, alphas=alphas, l1_ratio=ratio, **form, **ends)
     values: Array = coefficients.T
     return values
 
@@ -265,13 +262,12 @@ def by_celer(task: Task, targets: slice, stop: float, iterations: int) -> Array:
 def by_glum(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     """IRLS with descent; stop: the norm of its minimum-norm subgradient."""
     package: Any = import_module("glum")
-    (design, target), (alphas, ratio) = task.rows(targets), task.elastic
-    model = package.GeneralizedLinearRegressor(
-        l1_ratio=ratio, fit_intercept=False, family="normal", solver="irls-cd", warm_start=True,
-        gradient_tol=stop, max_iter=iterations, copy_X=False, check_input=False,
-    )  # fmt: skip
-    fits = (model.set_params(alpha=alpha).fit(design, target) for alpha in alphas.tolist())
-    return np.stack([np.array(each.coef_) for each in fits])
+    rows, (alphas, ratio) = task.rows(targets), task.elastic
+    form = {"family": "normal", "l1_ratio": ratio, "fit_intercept": False}
+    ways = {"solver": "irls-cd", "warm_start": True, "copy_X": False, "check_input": False}
+    ends = {"gradient_tol": stop, "max_iter": iterations}
+    model = package.GeneralizedLinearRegressor(**form, **ways, **ends)
+    return np.stack([model.set_params(alpha=a).fit(*rows).coef_.copy() for a in alphas.tolist()])
 
 
 def by_sortedl1(task: Task, targets: slice, stop: float, iterations: int) -> Array:
@@ -281,10 +277,8 @@ def by_sortedl1(task: Task, targets: slice, stop: float, iterations: int) -> Arr
     columns = design.shape[1]
     lambdas = np.ones(columns) if task.lambdas is None else task.lambdas
     model = package.Slope(lam=lambdas, fit_intercept=False, tol=stop, max_iter=iterations)
-    path = model.path(
-        *(design, target), alphas=task.fractions, tol_dev_change=0.0, tol_dev_ratio=1.0,
-        max_clusters=columns + 1,
-    )  # fmt: skip
+    whole = {"tol_dev_change": 0.0, "tol_dev_ratio": 1.0, "max_clusters": columns + 1}
+    path = model.path(design, target, alphas=task.fractions, **whole)
     return np.asarray(path.coefs).reshape(columns, -1).T
 
 
@@ -299,27 +293,29 @@ def by_skglm(task: Task, targets: slice, stop: float, iterations: int) -> Array:
     (design, target), (alphas, ratio) = task.rows(targets), task.elastic
     ends: dict[str, Any] = {"max_iter": iterations, "tol": stop}
     warm: dict[str, Any] = {"max_epochs": 50 * iterations, "warm_start": True}
-    datafit, blocks = datafits.Quadratic(), task.blocks(targets)
-    starts = np.concatenate([[0], np.cumsum(list(map(len, blocks)))]).astype(np.int32)
-    layout, ones = (starts, np.concatenate(blocks).astype(np.int32)), np.ones(len(blocks))
-    make: Callable[[float], Any]
+    datafit, make = datafits.Quadratic(), penalties.L1
     if task.kind in SINGLE:
         solver: Any = solvers.AndersonCD(**ends, **warm, fit_intercept=False)
-        make = partial(penalties.L1_plus_L2, l1_ratio=ratio) if task.ridge else penalties.L1
+        if task.ridge:
+            make = partial(penalties.L1_plus_L2, l1_ratio=ratio)
     elif task.kind == "SLOPE":
         ends["max_iter"] *= 100
         solver = solvers.FISTA(**ends, opt_strategy="fixpoint")
         make = partial(penalties.SLOPE, task.lambdas)
     else:
-        plain = task.lambdas is None
-        strategy = "subdiff" if plain else "fixpoint"
-        solver = solvers.GroupBCD(**ends, **warm, ws_strategy=strategy)
-        datafit = datafits.QuadraticGroup(*layout)
-        norms = penalties.WeightedGroupL2 if plain else penalties.WeightedL1GroupL2
-
-        def make(alpha: float) -> Any:
-            return norms(alpha, ones, *(() if plain else (task.lambdas,)), *layout)
-
+        blocks = task.blocks(targets)
+        starts = np.concatenate([[0], np.cumsum(list(map(len, blocks)))]).astype(np.int32)
+        layout = {"grp_ptr": starts, "grp_indices": np.concatenate(blocks).astype(np.int32)}
+        datafit, ones = datafits.QuadraticGroup(**layout), np.ones(len(blocks))
+        if task.lambdas is None:
+            strategy, norms = "subdiff", partial(penalties.WeightedGroupL2, weights=ones)
+        else:
+            both = {"weights_groups": ones, "weights_features": task.lambdas}
+            strategy, norms = "fixpoint", partial(penalties.WeightedL1GroupL2, **both)
+        solver, make = (
+            solvers.GroupBCD(**ends, **warm, ws_strategy=strategy),
+            partial(norms, **layout),
+        )
     datafit, penalty, fitted = compiled(datafit), None, np.zeros(len(target))
     values = [np.zeros(design.shape[1])]
     for alpha in alphas.tolist():
