@@ -9,16 +9,13 @@ most alpha. The solutions before the first violation are final. The violating bl
 largest violation first, and the path goes on from the last final solution. At most `FEW` columns
 are all in the working set, and Z'Z is formed once for all targets.
 
-Iterative kernels solve to a rough accuracy first, which suffices to extend J. A residual R that
-moved little since its columns were tested, R0, needs few products again: |z_j'(R - R0)|/m <=
-|R - R0|/sqrt(m) for columns of unit rms, a safe screening rule by a sphere around R0/m.
+Iterative kernels solve to a rough accuracy first, which suffices to extend J.
 
 The square-root loss has the optimality conditions of the squares at the penalty t = a rho/y, rho
 the residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): `_root_path` solves for t. Huber's
 loss is the squares with one more column for each row, an outlier (`outliers`).
 Sources: Johnson and Guestrin, "Blitz: a principled meta-algorithm for scaling sparse optimization"
-(ICML 2015), working sets; Ndiaye, Fercoq, Gramfort and Salmon, J. Mach. Learn. Res. 18 (2017) 128,
-safe screening.
+(ICML 2015).
 """
 
 from __future__ import annotations
@@ -117,11 +114,8 @@ class WorkingSet:
     def fitted(self, values: Array) -> Array:
         """Z_J V (m, q) of V (j, q)."""
         if self.store is not None:
-            on = np.flatnonzero(values.any(axis=1))
-            few = 2 * len(on) < len(values)
-            part = self.store[on] if few else self.store[: len(values)]
-            out: Array = part.T @ (values[on] if few else values)
-            return out
+            fitted: Array = (values.T @ self.store[: len(values)]).T
+            return fitted  # V is narrow: numpy is slower the other way round
         full = np.zeros((self.design.shape[1], values.shape[1]))
         full[self.index] = values
         return self.design.predict(full)
@@ -229,24 +223,21 @@ def _with_working_set(
         design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), rotations
     )
     points, new = Points.zeros(count, cross), index
-    done, warm_starts = 0, {BEGIN: np.zeros((len(index), q))}
+    done, is_settled, warm_starts = 0, False, {BEGIN: np.zeros((len(index), q))}
     while done < count:
         if len(new):
             size = len(working.index) + len(new)
             if rotations is not None and 3 * size > m:
                 name = "block descent"
             working = working.extended(new, cross, _by_gram(design, name, size, whole))
-        here, goal = alphas[done : done + AHEAD], DESCENDED if name == "block descent" else STOP
-        stops = (goal,) if name in ("homotopy", "variational") else (ROUGH, goal)
+        here = alphas[done : done + AHEAD]
+        is_rough = not is_settled and name not in ("homotopy", "variational")
+        goal = DESCENDED if name == "block descent" else STOP
+        batch = KERNELS[name](working.problem, here, warm_starts, ROUGH if is_rough else goal)
+        warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
         near = NEAR if name in ("variational", "block descent") else 0.0
-        problem, before = working.problem, None
-        for stop in stops:
-            batch = KERNELS[name](problem, here, warm_starts, stop)
-            warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
-            accepted, new, before = _violations(working, here, batch.weights, near, before)
-            if len(new):
-                break
-        accepted = 0 if stop == ROUGH else accepted
+        accepted, new = _violations(working, here, batch.weights, near)
+        accepted, is_settled = 0 if is_rough else accepted, is_rough and not len(new)
         until = done + accepted
         points.weights[done:until, working.index] = working.unrotated(batch.weights[:accepted])
         points.complete[done:until] = batch.complete[:accepted]
@@ -269,39 +260,20 @@ def _by_gram(design: Design, name: str, size: int, whole: bool) -> bool:
 
 
 def _violations(
-    working: WorkingSet,
-    alphas: Array,
-    values: Array,
-    near: float,
-    before: tuple[Array, Array] | None,
-) -> tuple[int, IntArray, tuple[Array, Array]]:
+    working: WorkingSet, alphas: Array, values: Array, near: float
+) -> tuple[int, IntArray]:
     """Test the optimality conditions of the columns outside a working set.
 
-    values (a, j, q): its solutions at alphas (a,); before: what the last test at these alphas
-    returned, if there was one. Returns the number of solutions before the first violation, the
-    columns to join, sorted, and the residuals (m, a q) with the relative violations (a, u) of all
-    units. Units join that violate the conditions of the first three solutions with a violation, or
-    whose dual norm there exceeds (1 - near) alpha.
+    values (a, j, q): its solutions at alphas (a,). Returns the number of solutions before the first
+    violation, and the columns to join, sorted: units that violate the conditions of the first three
+    solutions with a violation, or whose dual norm there exceeds (1 - near) alpha.
     """
     (count, size, q), penalty, design = values.shape, working.penalty, working.design
-    (m, k), units = design.shape, penalty.units
+    k, units = design.shape[1], penalty.units
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
     residual = np.tile(working.target, (1, count)) - working.fitted(flat)
-    separate, doubtful = type(penalty).violations is Penalty.violations, np.arange(k)
-    if before is not None and separate:
-        # Each entry of Z'(R - R0)/m is at most |R - R0|/sqrt(m).
-        moves = np.square(residual - before[0]).reshape(m, count, q).sum(axis=(0, 2))
-        moves = np.sqrt(moves / design.samples) / np.maximum(alphas, 1e-150)
-        ones = np.ones((k, q))
-        unit = np.maximum(*(penalty.block_dual_norms(part).max(axis=-1) for part in (ones, -ones)))
-        excess = before[1] + np.multiply.outer(moves, unit)
-        doubtful = np.flatnonzero((excess > FEASIBLE).any(axis=0)[units])
-    if 4 * len(doubtful) > k:
-        pulls = design.correlate(residual)
-    else:
-        pulls = np.zeros((k, count * q))
-        pulls[doubtful] = design.columns(doubtful).T @ residual / design.samples
-    pulls = pulls.reshape(k, count, q).transpose(1, 0, 2)
+    pulls = design.correlate(residual).reshape(k, count, q).transpose(1, 0, 2)
+    separate = type(penalty).violations is Penalty.violations
     if separate:
         excess = penalty.violations(pulls, pulls, alphas)
     else:
@@ -310,14 +282,13 @@ def _violations(
         points = zip(pulls, full, alphas.tolist(), strict=True)
         excess = np.array([penalty.violations(*point) for point in points])
     excess[:, units[working.index]] = -2.0
-    seen = residual, excess
     objecting = np.flatnonzero((excess > FEASIBLE).any(axis=1))
     if not len(objecting):
-        return count, np.zeros(0, dtype=np.intp), seen
+        return count, np.zeros(0, dtype=np.intp)
     worst = excess[objecting[:3]].max(axis=0)
     order = np.argsort(-worst, kind="stable")[: np.count_nonzero(worst > (-near or FEASIBLE))]
     most = 2 * size if near or not separate else size // 2
-    return int(objecting[0]), _leading(units, order, max(most, START // 4)), seen
+    return int(objecting[0]), _leading(units, order, max(most, START // 4))
 
 
 def _leading(units: IntArray, order: IntArray, most: int) -> IntArray:

@@ -54,17 +54,11 @@ class Columns:
     target: Array | None = None
 
     def times(self, values: Array) -> Array:
-        """G V (j, q) of V (j, q), which may have many rows of zeros."""
-        on = np.flatnonzero(values.any(axis=1))
+        """G V (j, q) of V (j, q)."""
         if self.gram is not None:
-            few = 4 * len(on) < len(values)
-            out: Array = self.gram[:, on] @ values[on] if few else self.gram @ values
-            return out
+            return np.asarray(self.gram @ values)
         assert self.rows is not None
-        if not isinstance(self.rows, np.ndarray):
-            return np.asarray(self.rows.T @ (self.rows @ values)) / self.samples
-        pulled: Array = ((self.rows[:, on] @ values[on]).T @ self.rows).T / self.samples
-        return pulled
+        return np.asarray(((self.rows @ values).T @ self.rows).T / self.samples)
 
     @cached_property
     def roots(self) -> tuple[Array, Array, float]:
