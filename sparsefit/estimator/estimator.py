@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -94,9 +94,6 @@ class Estimator:
 
     def read(self, prepared: Prepared, fit: Fit) -> Estimate:
         """Parameters from a fit (Eqs. 21-25): read on the grid, or located, measured and judged."""
-        own = getattr(prepared, "read", None)  # rows of a stream are read by what made them
-        if own is not None:
-            return cast(Estimate, own(self, fit))
         start = perf_counter()
         speed = scale = math.nan
         by_scale: dict[float, float] = {}

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -264,35 +264,22 @@ class FlownEstimator(Estimator):
 
     stream: Stream = field(default=Stream(), kw_only=True)
 
-    def prepare(self, flights: Flight | Sequence[Flight], *, shared: bool = True) -> Prepared:
-        """Return the rows of a flight for the back-end, with the board's answer beside them."""
-        fleet = [flights] if isinstance(flights, Flight) else list(flights)
-        if len(fleet) != 1:
-            raise InputError(f"on board one flight is followed, not {len(fleet)} together")
-        rows = super().prepare(fleet, shared=shared)
-        online = OnlineEstimator(self, vehicle=fleet[0].vehicle, **vars(self.stream))
-        for sample in samples_of(fleet[0]):
-            online.update(*sample)
-        return cast("Prepared", _FlownRows(rows, online.answer))
+    def read(self, prepared: Prepared, fit: Fit) -> Estimate:
+        """Return the answer on board after the last sample, with the certificate of the fit."""
+        flight, *others = prepared.flights
+        if others:
+            raise InputError(f"on board one flight is followed, not {1 + len(others)} together")
+        online = OnlineEstimator(self, vehicle=flight.vehicle, **vars(self.stream))
 
+        def flown() -> BoardAnswer:
+            for sample in samples_of(flight):
+                online.update(*sample)
+            return online.answer
 
-@dataclass(frozen=True, eq=False)
-class _FlownRows:
-    """The rows of a flight for a back-end, with the answer of the board after its last sample."""
-
-    _prepared: Prepared
-    _answer: BoardAnswer
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self._prepared, name)
-
-    def read(self, estimator: Estimator, fit: Fit) -> Estimate:
-        """Return the board's answer, with the certificate of the back-end's fit."""
-        seconds = self._prepared.seconds + fit.seconds
+        answer = prepared.once(online.settings, flown)
+        seconds = prepared.seconds + fit.seconds
         more = {"certificate": fit.certificate, "columns": fit.problem.columns, "seconds": seconds}
-        return estimate_of(estimator, self._answer, **more)
+        return estimate_of(self, answer, **more)
 
 
 def as_flown(estimator: Estimator, stream: Stream = Stream()) -> FlownEstimator:

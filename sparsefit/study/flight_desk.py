@@ -212,12 +212,13 @@ class FlightDesk:
         key = (setup.derivative, setup.library, setup.online)
         if self._prepared[0] != key:
             self._prepared = (None, None)
-            estimator = setup.online.flying(self._estimator(cells[0]))
-            self._prepared = (key, estimator.prepare(self._flown[1].fleet))
+            self._prepared = (key, self._estimator(cells[0]).prepare(self._flown[1].fleet))
 
     def _estimator(self, index: int) -> Estimator:
         if index not in self._estimators:
-            self._estimators[index] = estimator_of(self._definition, self._cells[index])
+            cell = self._cells[index]
+            estimator = estimator_of(self._definition, cell)
+            self._estimators[index] = cell.setup.online.flying(estimator)
         return self._estimators[index]
 
     def cases(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:

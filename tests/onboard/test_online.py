@@ -207,13 +207,12 @@ def test_an_estimator_is_scored_as_it_would_fly(flight, whole):
     estimate = flies.estimate(flight)
     assert str(estimate) == str(whole)
     assert estimate.certificate is not None
-    prepared = flies.prepare(flight)
-    assert str(LADDER.read(prepared, LADDER.fit(prepared))) == str(whole)
     with pytest.raises(sf.InputError, match="one flight is followed, not 2"):
-        flies.estimate([flight, flight])
-    stream = Stream(window=5.0)
-    prepared = stream.flying(LADDER).prepare([flight])
-    assert LADDER.read(prepared, LADDER.fit(prepared)).status == "ok"
+        flies.estimate([flight, flown(seed=9)])
+    fading = Stream(window=5.0).flying(LADDER)
+    prepared = fading.prepare([flight])
+    assert fading.read(prepared, fading.fit(prepared)).status == "ok"
+    assert str(flies.read(prepared, flies.fit(prepared))) == str(whole)  # of settings of its own
     assert Stream().flying(LADDER) is LADDER
 
 
