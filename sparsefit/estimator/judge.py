@@ -9,7 +9,7 @@ import numpy as np
 
 from sparsefit.estimator.estimate import Doubt, ScaleEstimate, Verdict
 from sparsefit.estimator.measure import Measured
-from sparsefit.estimator.prepare import RESOLVED, Prepared, apart, ways_of
+from sparsefit.estimator.prepare import EVIDENT, RESOLVED, Prepared, apart, ways_of
 from sparsefit.likelihood.causes import FREEDOMS, Suspect, two_digits
 from sparsefit.likelihood.diagnosis import usable
 from sparsefit.model.grid import extent_of
@@ -22,6 +22,18 @@ QUANTITIES = {
     "timescale": "the timescale",
 }
 MORE = "more than noise is left"
+UNITS = {  # by the displacement of positions over that of velocities
+    1000.0: "the position may be in mm",
+    100.0: "the position may be in cm",
+    3.2808: "the position may be in feet",
+    1.0 / 1.9438: "the velocity may be in knots",
+    1.0 / 2.2369: "the velocity may be in miles/h",
+    1.0 / 3.2808: "the velocity may be in feet/s",
+    1.0 / 3.6: "the velocity may be in km/h",
+    0.01: "the velocity may be in cm/s",
+    0.001: "the position may be in km, or the time in ms",
+}
+SAME_UNIT = 0.03  # the largest relative distance of a ratio from that of a unit
 
 
 def unidentifiable(doubt: Doubt, words: str) -> Verdict:
@@ -64,10 +76,7 @@ def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[
                 "motion apart; check units, axes and time stamps"
             )
             if both > PARALLEL * math.sqrt(alone * float(np.sum(ways**2))):
-                words = (
-                    f"the logged position moves {float(f'{both / alone:.3g}'):g} times as far as "
-                    "the logged velocity says; check the units of position, velocity and time"
-                )
+                words = _farther(both / alone)
             yield unidentifiable(Doubt.DISAGREEMENT, f"{_of_flight(prepared, number)}{words}")
 
 
@@ -107,7 +116,7 @@ def doubts_of_flow(
             Doubt.UNDERSAMPLED,
             f"{_of_flight(prepared, number)}the flight moves {moved:.3g} m from sample to sample, "
             f"too far to follow a length scale of {least:.3g} m; sample at {RESOLVED * rate:.3g} "
-            "Hz or more",
+            "Hz or more, or check the units of the log",
         )
     seen = [*free, *result.freed, *(own.free for own in result.suspects)] if result else free
     for number, latency in enumerate(prepared.latencies, 1):
@@ -116,6 +125,13 @@ def doubts_of_flow(
     if result is None or not result.detected:
         alone = "; estimate each flight alone: frames or units may differ"
         others = alone if len(prepared.flights) > 1 else ""
+        for number, flight in enumerate(prepared.flights, 1):
+            if flight.velocity_measured:
+                ways, moved, noise = ways_of(flight)
+                size = math.sqrt(float(np.sum(moved**2))) + 1e-300
+                ratio = float(np.sum(ways * moved)) / size**2
+                if abs(ratio - 1.0) > max(EVIDENT, 5.0 * noise / size):
+                    others = f"; {_of_flight(prepared, number)}{_farther(ratio)}"
         yield unidentifiable(
             Doubt.NO_FLOW,
             f"no cellular flow detected: no waves of {grid.lower:g} to {grid.upper:g} m explain "
@@ -228,6 +244,16 @@ def _too_late(where: str, latency: float) -> Verdict:
     """The misfit of a log whose position or velocity is late [s]."""
     late = Suspect("latency", (latency,), 0.0, math.inf, "latency")
     return misfit(f"{where}{late.words}; shift its times, or {late.remedy}")
+
+
+def _farther(ratio: float) -> str:
+    """The words for positions that move `ratio` times as far as velocities."""
+    near = min(UNITS, key=lambda own: abs(ratio / own - 1.0))
+    unit = f": {UNITS[near]}" if abs(ratio / near - 1.0) < SAME_UNIT else ""
+    return (
+        f"the logged position moves {float(f'{ratio:.3g}'):g} times as far as the logged velocity "
+        f"says; check the units of position, velocity and time{unit}"
+    )
 
 
 def _of_flight(prepared: Prepared, number: int) -> str:

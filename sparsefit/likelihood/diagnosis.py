@@ -72,11 +72,15 @@ class Trial:
     def suspect(self, before: Posterior, after: Posterior, chance: float, gain: float) -> Suspect:
         """The cause, with the change of its elements or the level of its process."""
         assert self.cause is not None
-        size: tuple[float, ...] = (after.model.disturbance.levels.get(self.free, 0.0),)
-        if not self.cause.wanders:
-            here, there = (own.models[max(self.flight, 1) - 1].values for own in (before, after))
+        size, flight = tuple[float, ...](), self.flight
+        if self.cause.wanders:  # each flight has a level of its own
+            levels = [own.disturbance.levels.get(self.free, 0.0) for own in after.models]
+            size = (max(levels),)
+            flight = 1 + levels.index(max(levels)) if len(levels) > 1 else 0
+        else:
+            here, there = (own.models[max(flight, 1) - 1].values for own in (before, after))
             size = tuple(there[name] - here[name] for name in self.cause.elements if name in here)
-        return Suspect(self.cause.name, size, chance, gain, self.free, self.flight)
+        return Suspect(self.cause.name, size, chance, gain, self.free, flight)
 
 
 @dataclass(frozen=True, eq=False)

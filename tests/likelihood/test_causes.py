@@ -230,6 +230,15 @@ def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(like
     assert tried[0].rate * tried[0].level ** 2 == pytest.approx(0.25 * 0.8**2)
 
 
+def test_a_swell_of_several_flights_is_that_of_the_flight_where_it_is_largest():
+    swells = [Disturbance(processes=(Process("swell", ("gain",), own),)) for own in (1e-9, 0.2)]
+    models = tuple(Model(pattern_of(), {}, own) for own in swells)
+    there = SimpleNamespace(models=models)
+    suspect = room.Trial(models, 2, FREEDOMS["swell"], "swell").suspect(there, there, 0.0, 99.0)
+    assert (suspect.size, suspect.flight) == ((0.2,), 2)
+    assert "by 20 % rms" in suspect.words
+
+
 def test_another_law_of_drag_gains_beside_the_response_time(monkeypatch):
     """Of a gain of 90, 30 are of the response time; waves around gain three times their share."""
     asked = []
