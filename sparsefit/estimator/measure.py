@@ -33,8 +33,10 @@ from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
 from sparsefit.likelihood.diagnosis import (
     Diagnosis,
     diagnose,
+    disturbed,
     fitted,
     process_of,
+    scanned,
     with_process,
 )
 from sparsefit.likelihood.goodness import Constancy, Goodness, Uncertainty
@@ -230,6 +232,11 @@ def measure_flow(
     if not starts:
         return None
     starts.sort(key=lambda own: (own[0], own[1].bic))
+    cells = min(starts, key=lambda own: (own[0], len(own[1].model.pattern.waves)))
+    if cells is not starts[0] and disturbed(cells[1]):
+        gain, _ = scanned(cells[1], process_of("turbulence", cells[1]))
+        if cells[1].bic - gain < starts[0][1].bic:  # more waves only stand in for gusts
+            starts = [cells, *(own for own in starts if own is not cells)]
 
     def diagnosed(first: Posterior, proposal: Proposal) -> tuple[Diagnosis, float]:
         """The diagnosis of a start, and its excess over turbulence (`_excess`)."""

@@ -142,7 +142,7 @@ def diagnose(
         for name, cause in FREEDOMS.items() if disturbed(start) else ():
             if not cause.wanders or name in closed:
                 continue
-            first_gain, models = _scanned(start, process_of(name, start))
+            first_gain, models = scanned(start, process_of(name, start))
             if first_gain > needed:
                 fits += attempts([Trial(models, 1 + len(models), cause, name)])
                 most = max(map(merit, fits), default=-math.inf)
@@ -237,7 +237,7 @@ def _ambiguity(
     return speed, length
 
 
-def _scanned(start: Posterior, process: Process) -> tuple[float, tuple[Model, ...]]:
+def scanned(start: Posterior, process: Process) -> tuple[float, tuple[Model, ...]]:
     """The gain of a process at the best of some levels, tracks as they are, and its models there.
 
     Each of several flights has a level of its own, which may be nothing.

@@ -77,7 +77,7 @@ def test_nothing_is_named_where_nothing_is_wrong():
     rate, error = diagnosis.growth
     assert abs(rate) < 4 * error
     for name in ("turbulence", "wander", "swell"):
-        assert room._scanned(posterior, room.process_of(name, posterior))[0] < 4.0
+        assert room.scanned(posterior, room.process_of(name, posterior))[0] < 4.0
 
 
 def test_an_answer_is_at_its_maximum_though_a_search_was_left_before():
