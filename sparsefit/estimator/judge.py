@@ -127,9 +127,9 @@ def doubts_of_flow(
         others = alone if len(prepared.flights) > 1 else ""
         for number, flight in enumerate(prepared.flights, 1):
             if flight.velocity_measured:
-                ways, moved, noise = ways_of(flight)
-                size = math.sqrt(float(np.sum(moved**2))) + 1e-300
-                ratio = float(np.sum(ways * moved)) / size**2
+                ways, summed, noise = ways_of(flight)
+                size = math.sqrt(float(np.sum(summed**2))) + 1e-300
+                ratio = float(np.sum(ways * summed)) / size**2
                 if abs(ratio - 1.0) > max(EVIDENT, 5.0 * noise / size):
                     others = f"; {_of_flight(prepared, number)}{_farther(ratio)}"
         yield unidentifiable(
