@@ -43,6 +43,7 @@ LAST = 60  # passes towards an answer that has not converged
 HINT = 0.1  # the p-value below which a cause that is not significant widens the intervals
 FACTOR = 3.0  # by which a scale or a response time may be off
 LATEST = 0.2  # of half the log: the longest latency
+LOST = 100.0  # of log-likelihood in one pass, more than BIC gains by a simpler shape
 CHANCE = 2.0  # of log-likelihood: the gain of a level that may be chance
 COLOURED = 1e-3  # the p-value of innovations that are not white
 TWO_WAVES = ("axis", "square", "rectangle", "pair")  # shapes, each freer than those before
@@ -288,7 +289,8 @@ def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
         simple = pattern.reshaped(name, drifting)
         if len(pattern.waves) == 2 and len(simple.values) < len(pattern.values):
             models = [replace(model, pattern=simple) for model in posterior.models]
-            there = refit(models, posterior)
+            near = _reached(posterior, models) > posterior.log_likelihood - LOST
+            there = refit(models, posterior) if near else None
             if there is not None and there.bic < posterior.bic:
                 return there
     return posterior

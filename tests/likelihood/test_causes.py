@@ -197,16 +197,20 @@ def test_freer_shapes_are_those_after_a_shape_or_itself_adrift(shape, group, sha
         ("rectangle", None, [("axis", False), ("square", False)]),
     ],
 )
-def test_simpler_shapes_are_those_before_it_first_where_they_stand(shape, drift, simpler):
+@pytest.mark.parametrize("lost", [10.0, 1e3])  # by a shape, in one pass along the tracks
+def test_simpler_shapes_that_are_near_are_fitted_first_where_they_stand(
+    shape, drift, simpler, lost, monkeypatch
+):
     tried = []
+    monkeypatch.setattr(room, "_reached", lambda *_: -lost)
 
     def refit(models, near):
         tried.append((models[0].pattern.shape, models[0].pattern.drifting))
 
     model = Model(pattern_of(shape, drift=drift), {})
-    posterior = SimpleNamespace(model=model, models=[model])
+    posterior = SimpleNamespace(model=model, models=[model], log_likelihood=0.0)
     assert room._simplest(refit, posterior) is posterior
-    assert tried == simpler
+    assert tried == (simpler if lost < room.LOST else [])
 
 
 @pytest.mark.parametrize("likelier", [room.TUNED, 1.0 / room.TUNED])
