@@ -28,7 +28,6 @@ from sparsefit.study import crossing, keys, schema
 from sparsefit.study.columns import Column, Outcome
 from sparsefit.study.contenders import ProblemDesign, read_problem_design
 from sparsefit.study.crossing import FlightDesign
-from sparsefit.study.draw import Logs
 from sparsefit.study.schema import Section, canonical_json, read_toml
 from sparsefit.study.worker import Crew
 
@@ -42,8 +41,7 @@ Columns: TypeAlias = Mapping[str, Sequence[Any]]
 class Definition:
     """A study file, checked and resolved.
 
-    hash: of all that its cases depend on; on_board: whether every estimator is flown sample by
-    sample, as it would be exported.
+    on_board: whether every estimator is flown sample by sample, as it would be exported.
     """
 
     path: str
@@ -51,7 +49,6 @@ class Definition:
     kind: str
     question: str
     seed: int
-    hash: str
     rules: keys.RunRule
     outputs: keys.Outputs
     selection: keys.SelectionRule
@@ -103,29 +100,11 @@ def definition_of(document: Section, path: str) -> Definition:
         kind="flights" if flown else "problems",
         question=file.question,
         seed=file.seed,
-        hash=hashlib.sha256(canonical_json(_content(document, design)).encode()).hexdigest(),
         rules=file.run,
         outputs=outputs,
         selection=file.select,
         design=design,
     )
-
-
-def _content(document: Section, design: FlightDesign | ProblemDesign) -> object:
-    """All that the cases depend on: no comments, questions or words, but the files that are read.
-
-    Of protocols and sweeps, keys bare or in quotes are one content.
-    """
-    shown_only = ("kind", "question", "select", "outputs")
-    content: dict[str, object] = {k: v for k, v in document.items() if k not in shown_only}
-    if isinstance(design, ProblemDesign):
-        return [content, [each.identity for each in design.problems], design.cell_identities()]
-    listed = [{"name": name, **overrides} for name, overrides in design.protocols.items()]
-    flat = {"sweep": design.sweep, "protocols": listed}
-    rules = (cell.setup.flights for cell in design.cells)
-    logs = [piece.digest for each in rules if isinstance(each, Logs) for piece in each.pieces]
-    content |= {name: flat[name] for name in flat if name in document}
-    return content | ({"logs": list(dict.fromkeys(logs))} if logs else {})
 
 
 def telling(words: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -207,6 +186,11 @@ class Plan(Protocol):
     def shape(self) -> tuple[int, int]:
         """The numbers of units and cells (u, c)."""
         return len(self.units["case_id"]), len(self.cells["case_id"])
+
+    @cached_property
+    def hash(self) -> str:
+        """The sha256 of the units and cells: their names, and all that the cases depend on."""
+        return hashlib.sha256(canonical_json([self.units, self.cells]).encode()).hexdigest()
 
     @property
     def size(self) -> int:

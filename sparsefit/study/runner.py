@@ -153,7 +153,7 @@ def run(
                 definition = plan.definition
                 content = {
                     "study": definition.name,
-                    "study_hash": definition.hash,
+                    "study_hash": plan.hash,
                     "seed": definition.seed,
                     "cases": plan.size,
                     "statuses": dict(sorted(summary.statuses.items())),

@@ -98,7 +98,7 @@ class Store:
                 them are of another study.
         """
         made = read_record(folder / MANIFEST) or {}
-        same = made.get("study_hash") == plan.definition.hash
+        same = made.get("study_hash") == plan.hash
         store = cls(folder, plan, same, [""] * plan.size, [""] * plan.size)
         for row in store._every(brief=True):
             place = None if row is None else plan.place_of.get(row.case_id)
@@ -217,10 +217,8 @@ class Store:
             yield from self._exported(brief)
 
     def _exported(self, brief: bool) -> Iterator[Row | None]:
-        """The rows of `cases.parquet`; of this very study, all are in the order of the plan."""
+        """The rows of `cases.parquet`."""
         with parquet(self.folder / CASES) as file:
-            whole = self.same and file.metadata.num_rows == self.plan.size
-            planned = iter(self.plan.case_ids) if whole else None
             there = set(file.schema_arrow.names)
             own = [name for name in kinds_of(self.plan.stored)
                    if name in there.difference(self.plan.columns, ENDED) and not brief]  # fmt: skip
@@ -229,8 +227,7 @@ class Store:
                 every = zip(*(content[name] for name in ("case_id", *ENDED)), strict=True)
                 for number, (case_id, status, reason, version) in enumerate(every):
                     body = body_of({name: content[name][number] for name in own})
-                    key = next(planned) if planned else case_id
-                    row = Row(key, status, reason or "", version or "", body)
+                    row = Row(case_id, status, reason or "", version or "", body)
                     yield row if status in STATUSES else None
 
     def export(self) -> None:

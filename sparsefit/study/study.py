@@ -53,7 +53,7 @@ RESULTS, STUDIES = "results", "studies"
 class Study(Definition):
     """A study file and its results folder, from `from_file` or `from_mapping`.
 
-    Its `name`, `kind`, `question`, `path`, `seed` and `hash` are those of the file.
+    Its `name`, `kind`, `question`, `path` and `seed` are those of the file.
     """
 
     folder: Path = Path()
@@ -102,6 +102,11 @@ class Study(Definition):
         """The units and candidates of this kind of study, every case, and how they are run."""
         kind = FlightExperiment if self.kind == "flights" else ProblemExperiment
         return kind(self.definition)
+
+    @property
+    def hash(self) -> str:
+        """The sha256 of the plan: results with another one are of another study."""
+        return self.planned.hash
 
     def plan(self) -> pd.DataFrame:
         """A row per case: unit, condition, candidate, title and the level of every factor."""
@@ -251,9 +256,8 @@ class Study(Definition):
         own = changes.pop("design", self.flights)
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
         cells = tuple(own.cells[cell] for cell in chosen)
-        content = f"{self.hash} {name} {own.count} {' '.join(sorted(candidates))}"
-        changes |= {"name": name, "hash": sha256(content.encode()).hexdigest()}
-        changes |= {"outputs": Outputs(), "design": replace(own, cells=cells, titles=self._titles)}
+        design = replace(own, cells=cells, titles=self._titles)
+        changes |= {"name": name, "outputs": Outputs(), "design": design}
         return replace(self, **changes, folder=self.folder / name)
 
     @property
