@@ -1,4 +1,4 @@
-"""The arrays that signatures speak of, named once, and records that print the shapes of theirs."""
+"""Types of the arrays in signatures, checks of arrays, and records that print their shapes."""
 
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeAlias
@@ -16,7 +16,7 @@ IntArray: TypeAlias = NDArray[np.intp]  # indices, labels
 
 def box(places: Array) -> tuple[Array, Array]:
     """The least and the largest of each column (c,) of places (m, c): two corners of their box."""
-    sides = np.ascontiguousarray(places.T)  # along rows numpy looks six times faster
+    sides = np.ascontiguousarray(places.T)  # numpy is six times faster along rows
     return sides.min(axis=1), sides.max(axis=1)
 
 
@@ -49,8 +49,8 @@ def frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
 class Brief:
     """A dataclass whose repr fits a screen; to be declared with ``repr=False``.
 
-    An array is told by its shape, a long tuple by how many are in it, a number to six digits, and
-    a field at its default not at all.
+    An array appears as its shape, a long tuple as its length, a number to six digits; a field at
+    its default does not appear.
     """
 
     def __repr__(self) -> str:

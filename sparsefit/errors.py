@@ -35,7 +35,7 @@ class MissingExtra(SparsefitError, ImportError):  # noqa: N818 - says what is th
 
 
 def optional(module: str, needs: str, extra: str) -> Any:
-    """Return a module that is installed with an extra of this package; `MissingExtra` if it is not.
+    """The module that an extra of this package installs. Raises MissingExtra without it.
 
     needs: the words for what needs it, ``IGC files need aerofiles``.
     """
@@ -47,10 +47,7 @@ def optional(module: str, needs: str, extra: str) -> Any:
 
 @contextmanager
 def told_with(place: object) -> Iterator[None]:
-    """Put ``place: `` (a file, say) before the message of an `InputError` raised inside.
-
-    Nothing is put where the place is empty.
-    """
+    """A context that puts ``place: ``, if not empty, before the message of an `InputError`."""
     try:
         yield
     except InputError as error:
@@ -58,43 +55,43 @@ def told_with(place: object) -> Iterator[None]:
 
 
 def one_line(text: str, most: int = sys.maxsize) -> str:
-    """The text on one line of ``most`` letters that any terminal can show; others as `\\x1b`."""
+    """The text on one line of at most ``most`` characters, unprintable ones as `\\x1b`."""
     words = " ".join(text[: 4 * most].split())
-    line = "".join(one if one.isprintable() else ascii(one)[1:-1] for one in words)
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in words)
     return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def described(error: BaseException, most: int = 500) -> str:
-    """`ValueError: what it says`, on one line, of any exception."""
+    """The type and message of any exception on one line, `ValueError: message`."""
     try:
-        said = str(error)
+        message = str(error)
     except Exception:  # a message is code of others, too
-        said = "(its message cannot be read)"
-    return one_line(f"{type(error).__name__}: {said}", most)
+        message = "(its message cannot be read)"
+    return one_line(f"{type(error).__name__}: {message}", most)
 
 
 def suggestion(name: str, valid: Iterable[str]) -> str:
     """Return ``: did you mean "x"?`` or, where no valid name is near, ``(known: x, y)``."""
     by_folded = {candidate.casefold(): candidate for candidate in valid}
     near = get_close_matches(name.casefold(), by_folded, n=1)
-    known = f" (known: {', '.join(sorted(by_folded.values()))})"
-    return f': did you mean "{by_folded[near[0]]}"?' if near else known
+    every = f" (known: {', '.join(sorted(by_folded.values()))})"
+    return f': did you mean "{by_folded[near[0]]}"?' if near else every
 
 
 def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> InputError:
     """The error for a name that is not among ``valid``, which stand ``listed`` if they are many."""
-    known = list(valid)
-    near = suggestion(str(name), known)
-    every = f"listed in {listed}" if listed else f"known: {', '.join(known)}"
+    names = list(valid)
+    near = suggestion(str(name), names)
+    every = f"listed in {listed}" if listed else f"known: {', '.join(names)}"
     hint = near if near.startswith(":") else ""
     return InputError(f'unknown {kind} "{one_line(str(name), LONGEST)}"{hint} ({every})')
 
 
 def one_of(kind: str, value: object, valid: Iterable[str], listed: str = "") -> None:
     """Raise `InputError`, as of `unknown`, unless ``value`` is one of the valid names."""
-    known = tuple(valid)
-    if not isinstance(value, str) or value not in known:
-        raise unknown(kind, str(value), known, listed)
+    names = tuple(valid)
+    if not isinstance(value, str) or value not in names:
+        raise unknown(kind, str(value), names, listed)
 
 
 def is_real(value: object) -> TypeGuard[float]:
@@ -164,7 +161,7 @@ def integer(name: str, value: int, least: int, *, odd: bool = False) -> int:
 
 
 def store(record: object, check: Callable[..., object], extra: Any, *names: str) -> None:
-    """Put fields of a frozen record through ``check(name, value, extra)``; store its answers.
+    """Replace fields of a frozen record by the values that ``check(name, value, extra)`` returns.
 
     extra: the unit, the least value or the shape, as the check has it.
     """

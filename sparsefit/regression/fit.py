@@ -92,8 +92,8 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
     if penalty and backend.certificate_kind == "duality_gap":
         usable = [each.weights for each in solutions if each.weights is not None]
         alphas = unit * np.array(fractions)[[each.weights is not None for each in solutions]]
-        asked = (problem.design, problem.target, np.array(usable), alphas, penalty)
-        gaps = iter(duality_gaps(*asked))
+        solved = np.array(usable)
+        gaps = iter(duality_gaps(problem.design, problem.target, solved, alphas, penalty))
         certificates = [None if each.weights is None else next(gaps) for each in solutions]
     else:
         certificates = [certificate_of(problem, *pair) for pair in pairs]

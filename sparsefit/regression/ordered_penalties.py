@@ -66,8 +66,8 @@ class SortedNorm(Penalty):
         out = np.empty_like(values)
         for t, column in enumerate(values.T):
             order = np.argsort(-np.abs(column), kind="stable")
-            left = np.abs(column)[order] - step * self.weights
-            fitted = isotonic_regression(left, increasing=False).x
+            reduced = np.abs(column)[order] - step * self.weights
+            fitted = isotonic_regression(reduced, increasing=False).x
             out[order, t] = np.sign(column[order]) * np.maximum(fitted, 0.0)
         return out
 
