@@ -153,7 +153,7 @@ def solved_by_newton(
 
 
 def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -> float:
-    """(primal - dual) / (|Y|^2/2m), by the dual point of the certificate, of V and C = B - G V."""
+    """(primal - dual) / (|Y|^2/2m) of V and C = B - G V: the dual point s R/m of the best s."""
     penalty = on.penalty
     product, ridge = 1.0 - float(np.vdot(values, on.cross)), alpha * penalty.ridge
     square = max(product - float(np.vdot(values, correlation)), 0.0)
@@ -162,24 +162,12 @@ def relative_gap(on: Columns, alpha: float, values: Array, correlation: Array) -
         correlation = correlation - ridge * values
         square += ridge * float(np.vdot(values, values))
     peak = float(penalty.constraint(correlation).max(initial=0.0))
-    s = dual_share(product, square, peak, alpha)
-    dual = s * product - 0.5 * s * s * square
-    if penalty.is_bounded:
-        limit = alpha / peak if peak > 0 else np.inf
-        choices = np.array([s, *(min(limit, share) for share in SHARES)])
-        pull = np.multiply.outer(choices, correlation)
-        duals = choices * product - 0.5 * choices**2 * square
-        dual = float((duals - penalty.conjugate(pull, alpha).sum(axis=-1)).max())
-    return 2.0 * max(primal - dual, 0.0)
-
-
-def dual_share(product: float, square: float, peak: float, alpha: float) -> float:
-    """The s of the best feasible dual point s R/m.
-
-    product <R, Y>/m, square |R|^2/m, and peak, the dual norm of Z'R/m.
-    """
     limit = alpha / peak if peak > 0 else np.inf
-    return min(max(product / square if square > 0 else 0.0, -limit), limit)
+    best = min(max(product / square if square > 0 else 0.0, -limit), limit)
+    s = np.array([best, *np.minimum(limit, SHARES)] if penalty.is_bounded else [best])
+    beyond = penalty.conjugate(np.multiply.outer(s, correlation), alpha).sum(axis=-1)
+    dual = float((s * product - 0.5 * s**2 * square - beyond).max())
+    return 2.0 * max(primal - dual, 0.0)
 
 
 def _proximal_point(
