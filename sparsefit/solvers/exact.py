@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
+from sparsefit.cached import cached_property
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
@@ -100,7 +101,7 @@ class WorkingSet:
             gram[:old, old:] = gram[old:, :old].T
         return replace(self, index=index, cross=pull, store=store, gram=gram, rotations=rotations)
 
-    @property
+    @cached_property
     def problem(self) -> Columns:
         """The problem on these columns, as kernels take it; Z_J of a sparse design is sparse."""
         part = self.penalty.restricted(self.index)
