@@ -146,7 +146,12 @@ def exact_path(
     if isinstance(penalty.loss, RootSquares):
         return _root_path(design, target, penalty, alphas, cross)
     if np.isfinite(penalty.loss.clip):
-        return outlier_path(design, target, cross, penalty, alphas)
+
+        def squares(y: Array, alphas: Array) -> Points:
+            free = replace(penalty, loss=SQUARES)
+            return _by_targets(design, y, free, alphas, design.correlate(y))
+
+        return outlier_path(design, target, cross, penalty, alphas, squares)
     if isinstance(penalty, SquaredNorm):
         return _ridge_path(design, target, penalty, alphas, cross)
     if not (isinstance(penalty, BoundedValues) and penalty.is_bounded):

@@ -6,11 +6,13 @@ makes the LASSO with Huber's loss a LASSO with the squares on [Z, sqrt(m) I], wh
 those of Z and the outliers o/sqrt(m), of penalty c/(sqrt(m) alpha); an intercept along e is
 projected off both, I - e e'. Both are solved by proximal points on the columns of Z that are in
 play. The identity is not stored: the outliers are eliminated from Newton's systems, so that memory
-is that of Z and a step takes m c^2 operations for c columns in use.
+is that of Z and a step takes m c^2 operations for c columns in use. Where no residual is beyond the
+knot the LASSO is the optimum, and its path faster: it is taken from the first such penalty on.
 
 Source: She and Owen, J. Am. Stat. Assoc. 106 (2011) 626-639.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -81,11 +83,17 @@ class WithOutliers(Columns):
 
 
 def outlier_path(
-    design: Design, target: Array, cross: Array, penalty: Penalty, alphas: Array
+    design: Design,
+    target: Array,
+    cross: Array,
+    penalty: Penalty,
+    alphas: Array,
+    squares: Callable[[Array, Array], Points],
 ) -> Points:
     """The optimum at descending penalties alphas (p,) of Huber's loss, for targets (m, n).
 
-    cross Z'Y/m (k, n). Raises InputError where the penalty is not the LASSO's.
+    cross Z'Y/m (k, n); squares(Y, alphas): the path of the LASSO. Raises InputError where the
+    penalty is not the LASSO's.
     """
     if type(penalty) is not AbsoluteValues or penalty.ridge:
         name = type(penalty).__name__
@@ -97,7 +105,7 @@ def outlier_path(
         cut = GROSS * knot  # beyond the knot the loss is linear: how far off y is does not matter
         while len(at):
             near = np.clip(y, -cut, cut)
-            part = _one_target(design, near, knot, penalty, alphas[at])
+            part = _one_target(design, near, knot, penalty, alphas[at], squares)
             points.weights[at, :, t] = part.weights[:, :, 0]
             points.complete[at] &= part.complete
             points.steps[at] += part.steps
@@ -109,7 +117,12 @@ def outlier_path(
 
 
 def _one_target(
-    design: Design, target: Array, knot: Array, penalty: AbsoluteValues, alphas: Array
+    design: Design,
+    target: Array,
+    knot: Array,
+    penalty: AbsoluteValues,
+    alphas: Array,
+    squares: Callable[[Array, Array], Points],
 ) -> Points:
     """The path for one target (m, 1), with the knot (1, 1), or (m, 1) of weighted samples."""
     k, root, along = penalty.columns, np.sqrt(design.samples), penalty.loss.direction
@@ -119,7 +132,15 @@ def _one_target(
     y, knot = target / level, knot / level
     index = np.sort(np.argsort(-np.abs(pull[:, 0]), kind="stable")[:START])
     rows, values = design.columns(index), np.zeros((len(index) + len(y), 1))
+    plain: Points | None = None
     for i, alpha in enumerate((alphas / level).tolist()):
+        if i and plain is None and not values[len(index) :].any():
+            plain = squares(y, alphas / level)
+        if plain is not None:
+            residual, clipped = penalty.loss.clipped(y - design.predict(plain.weights[i]), knot)
+            if np.array_equal(residual, clipped):
+                points.weights[i], points.complete[i] = plain.weights[i] * level, plain.complete[i]
+                continue
         price = np.broadcast_to(knot, y.shape)[:, 0] / (root * alpha)
         while True:
             weights = AbsoluteValues(np.concatenate([penalty.weights[index], price]))

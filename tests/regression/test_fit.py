@@ -271,6 +271,19 @@ def test_hubers_loss_takes_many_rows_or_columns(rows, columns):
     np.testing.assert_allclose(fit.weights[:2, 0], [1.0, -2.0], atol=0.3)
 
 
+@pytest.mark.parametrize("intercept", [False, True])
+def test_hubers_loss_without_outliers_is_that_of_squares(intercept):
+    rng, fractions = np.random.default_rng(2), np.geomspace(1.0, 1e-3, 12)
+    theta, settings = rng.normal(size=(60, 80)), {"intercept": intercept}
+    target = theta[:, :2] @ [1.0, -2.0] + 0.01 * rng.normal(size=60) + 3.0 * intercept
+    problem = RegressionProblem.from_arrays(theta, target, **settings)
+    path = sf.path(problem, backends.get("huber-lasso"), fractions)
+    assert all(fit.status == "ok" and not fit.repaired for fit in path.fits)
+    squares = sf.path(problem, backends.get("lasso"), (1.0,)).alpha_max
+    lasso = sf.path(problem, backends.get("lasso"), fractions[-4:] * path.alpha_max / squares)
+    np.testing.assert_allclose(path.weights[-4:], lasso.weights, atol=1e-7)
+
+
 def test_the_size_of_a_target_that_is_mostly_zero_is_its_rms():
     loss, target = Squares(clip=2.0), np.zeros((8, 2))
     target[0] = 4.0, 0.0
