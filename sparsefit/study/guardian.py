@@ -55,7 +55,7 @@ def work() -> None:
 
     The channels move to other descriptors: foreign code prints to stderr and reads /dev/null.
     """
-    requests, answers = os.fdopen(os.dup(0), "rb"), os.dup(1)
+    requests, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     try:

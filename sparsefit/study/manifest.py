@@ -13,7 +13,6 @@ import json
 import os
 import platform
 import re
-import stat
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -24,7 +23,7 @@ from typing import Any
 
 import sparsefit
 from sparsefit.errors import InputError
-from sparsefit.whole_file import write_whole
+from sparsefit.whole_file import read_whole, write_whole
 
 MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
@@ -98,11 +97,8 @@ def write_manifest(folder: Path, content: Mapping[str, object]) -> None:
 def read_record(path: Path) -> dict[str, Any] | None:
     """The JSON object in a regular file; None without a readable one."""
     try:
-        facts = path.stat()
-        if not stat.S_ISREG(facts.st_mode) or facts.st_size > LARGEST:
-            return None
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        content = json.loads(read_whole(path, most=LARGEST))
+    except (InputError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None
 

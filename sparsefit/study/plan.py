@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sparsefit.arrays import BoolArray
 from sparsefit.codec import Place, build
@@ -156,10 +157,10 @@ class Plan(Protocol):
     def version(self, cell: int) -> str:
         """The code that makes the rows of a cell, here and now."""
 
-    def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
+    def whole(self, wanted: BoolArray, version: NDArray[Any]) -> BoolArray:
         """The cases (u, c) to compute so that those ``wanted`` are comparable with the rest.
 
-        version: of each row (u * c,), empty where there is none.
+        version: of each row (u, c), empty where there is none.
         """
         return wanted
 

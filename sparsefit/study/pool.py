@@ -1,6 +1,6 @@
 """Outcomes of batches from killable workers: a case that hangs or dies ends in its own row.
 
-Each slot is a thread, in which the experiment takes batches and sends requests to the workers of a
+Each slot is a thread, in which the plan takes batches and sends requests to the workers of a
 crew. Foreign code runs in workers only.
 
 On a dask cluster a task is a few batches. It runs them in a slot on the machine of the dask worker,
@@ -11,9 +11,10 @@ tried one by one, and one that fails again is `crashed`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from itertools import chain
 from queue import Empty, SimpleQueue
 from threading import Event, Lock, Thread
 from typing import Any
@@ -31,12 +32,10 @@ def outcomes(
     plan: Plan,
     batches: Iterator[Batch],
     processes: int,
-    idle: Callable[[float], None] = lambda patience: None,
-) -> Generator[Outcome, None, None]:
+) -> Generator[list[Outcome], None, None]:
     """The outcome of every cell of every batch as it ends; workers end with the generator.
 
-    ``idle`` is called before each wait for outcomes with its longest time [s], and never between
-    outcomes that arrive together.
+    Those that arrive together are a list; an empty one follows each `TICK` without any.
     """
     arriving, stop, lock = SimpleQueue[list[Outcome] | BaseException | None](), Event(), Lock()
 
@@ -54,7 +53,7 @@ def outcomes(
         try:
             with (
                 scratch() as home,
-                closing(Crew(plan.desk, home, memory=memory, stop=stop)) as crew,
+                closing(Crew(plan.desk, home, memory, stop)) as crew,
             ):
                 for together in plan.run(taken(), crew):
                     arriving.put(together)
@@ -68,17 +67,16 @@ def outcomes(
             slot.start()
         ended = 0
         while ended < processes:
-            idle(TICK)
             try:
                 event = arriving.get(timeout=TICK)
             except Empty:
-                continue
+                event = []
             if event is None:
                 ended += 1
             elif isinstance(event, BaseException):
                 raise event
             else:
-                yield from event
+                yield event
     finally:
         stop.set()
         for slot in slots:
@@ -107,9 +105,9 @@ def dask_client(scheduler: str) -> Iterator[Any]:
 
 
 def outcomes_on_dask(
-    client: Any, plan: Plan, batches: Iterable[Batch], idle: Callable[[float], None]
-) -> Generator[Outcome, None, None]:
-    """The outcome of every cell of every batch, as its task ends on a dask worker."""
+    client: Any, plan: Plan, batches: Iterable[Batch]
+) -> Generator[list[Outcome], None, None]:
+    """The outcomes of every batch, as its task ends on a dask worker."""
     from distributed import as_completed
 
     hands = sum(client.nthreads().values())
@@ -129,7 +127,7 @@ def outcomes_on_dask(
     for future in ended:
         mine = given.pop(future.key)
         if future.status == "finished":
-            yield from future.result()
+            yield future.result()
         elif tried.isdisjoint(mine):
             tried.update(mine)
             for batch in mine:
@@ -137,10 +135,9 @@ def outcomes_on_dask(
         else:
             reason = f"the dask task failed: {described(future.exception())}"
             for batch in mine:
-                yield from (Outcome(batch.unit, cell, "crashed", reason) for cell in batch.cells)
-        idle(0.0)
+                yield [Outcome(batch.unit, cell, "crashed", reason) for cell in batch.cells]
 
 
 def run_batches(plan: Plan, batches: Sequence[Batch]) -> list[Outcome]:
     """The outcomes of batches, computed on a dask worker in a process that can be killed."""
-    return list(outcomes(plan, iter(batches), 1))
+    return list(chain.from_iterable(outcomes(plan, iter(batches), 1)))

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
@@ -93,12 +94,12 @@ class ProblemExperiment(Plan):
         """A digest of the processor and the versions of what computes."""
         return digest(canonical_json([processor(), os.cpu_count(), versions()]))[:8]
 
-    def whole(self, wanted: BoolArray, done: BoolArray, version: Sequence[str]) -> BoolArray:
+    def whole(self, wanted: BoolArray, version: NDArray[Any]) -> BoolArray:
         """All cells that are timed with a case ``wanted``, and those timed on another machine."""
-        here = np.array([word.rpartition(ON)[2] in ("", self._machine) for word in version])
         if not wanted.any():
             return wanted
-        wanted = wanted | (done & ~here.reshape(done.shape))
+        here = [word.rpartition(ON)[2] in ("", self._machine) for word in version.flat]
+        wanted = wanted | ~np.reshape(here, version.shape)
         whole = np.zeros_like(wanted)
         for cells in self._objectives.values():
             whole[:, cells] = wanted[:, cells].any(axis=1, keepdims=True)

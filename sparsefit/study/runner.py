@@ -25,6 +25,7 @@ from sparsefit.study.manifest import MANIFEST, check_whole, write_manifest
 from sparsefit.study.plan import Plan
 from sparsefit.study.pool import dask_client, outcomes, outcomes_on_dask
 from sparsefit.study.store import CASES, STORE, Row, Store, discard
+from sparsefit.study.worker import TICK
 from sparsefit.whole_file import refusing
 
 PAGES = ("README.md", "report.html")  # that tell of rows
@@ -56,7 +57,8 @@ class RunSummary:
     @classmethod
     def of(cls, store: Store, **run: Any) -> RunSummary:
         """The summary of a store."""
-        statuses, versions = (Counter(filter(None, all_)) for all_ in (store.status, store.version))
+        of_all = (store.status, store.version)
+        statuses, versions = (Counter(filter(None, values.flat)) for values in of_all)
         counts = (statuses, int(store.stale.sum()), versions, store.unplanned, store.damaged)
         return cls(store.folder, store.plan.size, *counts, **run)
 
@@ -122,7 +124,7 @@ def run(
             wanted |= store.failed
         if stale:
             wanted |= store.stale
-        wanted = plan.whole(wanted & named, store.done, store.version)
+        wanted = plan.whole(wanted & named, store.version)
         if store.finished and not wanted.any():
             return RunSummary.of(store, resumed=plan.size)
         plan.check()
@@ -130,20 +132,23 @@ def run(
         with Store.opened(folder, plan) as store:
             batches = plan.batches(wanted)
             if client:
-                arriving = outcomes_on_dask(client, plan, batches, store.sync)
+                arriving, patience = outcomes_on_dask(client, plan, batches), 0.0
             else:
-                arriving = outcomes(plan, batches, count, store.sync)
-            tell, first = progress or (lambda *_: None), math.nan
+                arriving, patience = outcomes(plan, batches, count), TICK
+            tell, first = progress or (lambda *_: None), (0, 0.0)
             tell(resumed, resumed + total, None)
             with closing(arriving):
-                for outcome in arriving:
-                    store.put(outcome, plan.versions[outcome.cell])
-                    computed, now = computed + 1, time.monotonic()
-                    first = now if computed == 1 else first
+                for together in arriving:
+                    for outcome in together:
+                        store.put(outcome, plan.versions[outcome.cell])
+                    store.sync(patience)
+                    computed, now = computed + len(together), time.monotonic()
+                    first = first if first[0] else (computed, now)
                     if computed == total or now - shown > 0.2:  # [s], what an eye can follow
                         shown, ahead = now, None
-                        if computed > 5:  # the first ones include the start of workers
-                            ahead = (now - first) / (computed - 1) * (total - computed)
+                        if computed > first[0] + 4:  # which includes the start of workers
+                            each = (now - first[1]) / (computed - first[0])
+                            ahead = each * (total - computed)
                         tell(resumed + computed, resumed + total, ahead)
             seconds = time.monotonic() - begun
             made = {"resumed": resumed, "computed": computed, "seconds": seconds}

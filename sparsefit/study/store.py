@@ -15,8 +15,8 @@ line. What was committed survives a kill. The next export leaves out rows that a
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
-import stat
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
@@ -71,17 +72,17 @@ class Row(NamedTuple):
 class Store:
     """The rows of a results folder, by the cases of a plan.
 
-    same: whether the manifest has the hash of this study; status and version: of each case, empty
-    without a row; exported: whether they were read from `cases.parquet`; damaged: the number of
-    rows with a wrong checksum or status; unplanned: of rows of other cases; pending: rows to be
+    same: whether the manifest has the hash of this study; status and version: of each case (u, c),
+    empty without a row; exported: whether they were read from `cases.parquet`; damaged: the number
+    of rows with a wrong checksum or status; unplanned: of rows of other cases; pending: rows to be
     written at the next `sync`.
     """
 
     folder: Path
     plan: Plan
     same: bool
-    status: list[str]
-    version: list[str]
+    status: NDArray[Any]
+    version: NDArray[Any]
     exported: bool = False
     damaged: int = 0
     unplanned: int = 0
@@ -99,7 +100,8 @@ class Store:
         """
         made = read_record(folder / MANIFEST) or {}
         same = made.get("study_hash") == plan.hash
-        store = cls(folder, plan, same, [""] * plan.size, [""] * plan.size)
+        status, version = np.full((2, *plan.shape), "", object)
+        store = cls(folder, plan, same, status, version)
         for row in store._every(brief=True):
             place = None if row is None else plan.place_of.get(row.case_id)
             if row is None:
@@ -107,8 +109,9 @@ class Store:
             elif place is None:
                 store.unplanned += 1
             else:
-                store.status[place], store.version[place] = row.status, row.version or "unknown"
-        if store.unplanned and not any(store.status):
+                store.status.flat[place] = row.status
+                store.version.flat[place] = row.version or "unknown"
+        if store.unplanned and not store.done.any():
             which = f" (hash {str(made['study_hash'])[:12]})" if made and not same else ""
             raise InputError(
                 f"{folder} was made by a different study{which}, and no case of it is of this one: "
@@ -139,34 +142,31 @@ class Store:
     @property
     def finished(self) -> bool:
         """Whether `cases.parquet` is of this very study and has every case."""
-        return self.same and self.exported and all(self.status) and not self.unplanned
+        return self.same and self.exported and bool(self.done.all()) and not self.unplanned
 
     @property
     def done(self) -> BoolArray:
         """The cases (u, c) that have a row."""
-        return self._which([bool(status) for status in self.status])
+        return np.asarray(self.status != "", bool)
 
     @property
     def failed(self) -> BoolArray:
         """The cases (u, c) whose row has no answer."""
-        return self._which([status in FAILED for status in self.status])
+        return np.isin(self.status.astype(str), FAILED)
 
     @property
     def stale(self) -> BoolArray:
         """The cases (u, c) whose row is of another version of the code."""
-        current = self.plan.versions * self.plan.shape[0]
-        others = [v != now for v, now in zip(self.version, current, strict=True)]
-        return self._which(others) & self.done
-
-    def _which(self, cases: list[bool]) -> BoolArray:
-        return np.array(cases, dtype=bool).reshape(self.plan.shape)
+        others: BoolArray = self.version != np.array(self.plan.versions, object)
+        return others & self.done
 
     def put(self, outcome: Outcome, version: str) -> None:
         """Write the row of an outcome, by this version, in the place of an earlier one."""
-        place = outcome.unit * self.plan.shape[1] + outcome.cell
+        case = outcome.unit, outcome.cell
+        case_id = self.plan.case_ids[outcome.unit * self.plan.shape[1] + outcome.cell]
         content = (outcome.status, outcome.reason, version, body_of(outcome.values))
-        self.put_row(Row(self.plan.case_ids[place], *content))
-        self.status[place], self.version[place] = outcome.status, version
+        self.put_row(Row(case_id, *content))
+        self.status[case], self.version[case] = outcome.status, version
 
     def put_row(self, row: Row) -> None:
         """Write a row at the next `sync`."""
@@ -277,15 +277,12 @@ def _telling(path: Path) -> Iterator[None]:
 
 def is_regular(path: Path) -> bool:
     """Whether there is a regular file. Raises InputError for a link, a pipe or a folder."""
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return False
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}: check the folder") from None
-    if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: no regular file: remove it, or study run --fresh starts over")
-    return True
+    with refusing(path, "read"):
+        is_there = os.path.lexists(path)
+        if is_there and (path.is_symlink() or not path.is_file()):
+            words = "no regular file: remove it, or study run --fresh starts over"
+            raise InputError(f"{path}: {words}")
+    return is_there
 
 
 @contextmanager

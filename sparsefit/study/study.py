@@ -184,7 +184,7 @@ class Study(Definition):
             except Exception as error:
                 raise SparsefitError(f"{case_id} ends in an error: {described(error)}") from error
             return reading
-        (outcome,) = outcomes(self.planned, iter([Batch(unit, (cell,))]), 1)
+        ((outcome,),) = filter(None, outcomes(self.planned, iter([Batch(unit, (cell,))]), 1))
         return outcome
 
     def cells_of(self, candidate: str) -> list[int]:

@@ -5,10 +5,10 @@
 
     in_child(work, 4, seconds=60.0)                          # one call, and its value
 
-Limits and times are the parent's. A request is a pickle; an answer is one line of JSON with its
-checksum and the number of its request; the worker is killed after any other message. It computes in
-one thread, in a process group of its own, which Ctrl-C does not reach. `guardian` ends it with all
-processes that it has started. A desk is the object whose methods are requested.
+Limits and times are the parent's. A request is a pickle; an answer is one line of JSON with the
+number of its request; the worker is killed after any other message. It computes in one thread, in a
+process group of its own, which Ctrl-C does not reach. `guardian` ends it with all processes that it
+has started. A desk is the object whose methods are requested.
 """
 
 from __future__ import annotations
@@ -31,11 +31,10 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
 from typing import Any, BinaryIO
-from zlib import crc32
 
 from sparsefit.errors import InputError, SparsefitError, described, one_line
 from sparsefit.study import guardian
@@ -77,11 +76,8 @@ class NoAnswerError(Exception):
     """
 
     def __init__(self, status: str, reason: str, work: str = "") -> None:
-        between = {"timeout": " ", "crashed": ": "}.get(status)
-        self.status, self.reason = (
-            status,
-            f"{work}{between}{reason}" if between and work else reason,
-        )
+        named = {"timeout": f"{work} {reason}", "crashed": f"{work}: {reason}"}
+        self.status, self.reason = status, named.get(status, reason) if work else reason
         super().__init__(self.status, self.reason)
 
     @property
@@ -90,26 +86,9 @@ class NoAnswerError(Exception):
         return self.status in ("timeout", "crashed")
 
 
-def packed(record: Mapping[str, Any]) -> bytes:
-    """One line: a CRC-32 and the JSON of the record; ValueError or TypeError without JSON."""
-    body = json.dumps(record, separators=(",", ":")).encode()
-    return b"%08x %s\n" % (crc32(body), body)
-
-
-def unpacked(line: bytes) -> dict[str, Any]:
-    """The record of a line without its end; empty where the checksum or the JSON is wrong."""
-    if line[8:9] != b" " or line[:8] != b"%08x" % crc32(line[9:]):
-        return {}
-    try:
-        record = json.loads(line[9:])
-    except (ValueError, RecursionError):
-        return {}
-    return record if isinstance(record, dict) else {}
-
-
 def serve(
     asks: BinaryIO,
-    answers: int,
+    answers: BinaryIO,
     make: Callable[..., object],
     arguments: tuple[Any, ...],
     memory: float,
@@ -133,17 +112,18 @@ def serve(
                 gc.freeze()  # later collections skip what is loaded now
             else:
                 answer = getattr(desk, verb)(**content)
-            line = packed({"number": number, "answer": answer or {}})
-        except MemoryError as error:
-            gc.collect()
-            line = packed({"number": number, "error": f"memory: {described(error)}"})
+            line = json.dumps({"number": number, "answer": answer or {}})
         except BaseException as error:  # foreign code may raise anything, SystemExit too
-            line = packed({"number": number, "error": described(error)})
+            reason = described(error)
+            if isinstance(error, MemoryError):
+                gc.collect()
+                reason = f"memory: {reason}"
+            line = json.dumps({"number": number, "error": reason})
         if os.getpid() != owner:
             os._exit(0)
         try:
-            while line:
-                line = line[os.write(answers, line) :]
+            answers.write(f"{line}\n".encode())
+            answers.flush()
             number, verb, content = pickle.load(asks)
         except (EOFError, OSError):  # the parent is gone
             return
@@ -194,8 +174,7 @@ class Worker:
         self._buffer, self._stop, self._number = bytearray(), stop or Event(), 0
         with self._ending():
             self._write(sys.path, (serve, (make, arguments, memory)))
-            if error := self._record(START_SECONDS).get("error"):
-                raise NoAnswerError("crashed", str(error))
+            self._answer(self._line(START_SECONDS), raised="crashed")
 
     @property
     def alive(self) -> bool:
@@ -216,15 +195,10 @@ class Worker:
             self._number += 1
             cpu, begun = cpu_seconds(self._process.pid) if timed else math.nan, time.perf_counter()
             self._write((self._number, verb, dict(content)))
-            record = self._record(limit)
+            line = self._line(limit)
             wall = time.perf_counter() - begun
             cpu = cpu_seconds(self._process.pid) - cpu if timed else math.nan
-            value, error = record.get("answer", {}), record.get("error", "")
-            if not (isinstance(value, dict) and isinstance(error, str)):
-                raise NoAnswerError("crashed", GARBLED)
-            if error:
-                raise NoAnswerError("error", error)
-            return Answer(value, wall, cpu)
+            return Answer(self._answer(line), wall, cpu)
 
     @contextmanager
     def _ending(self, work: str = "") -> Iterator[None]:
@@ -241,12 +215,12 @@ class Worker:
 
     def _write(self, *messages: object) -> None:
         content = b"".join(map(pickle.dumps, messages))
-        with suppress(BrokenPipeError):  # it has died: `_record` raises
+        with suppress(BrokenPipeError):  # it has died: `_line` raises
             while content:
                 content = content[self._requests.write(content) :]
 
-    def _record(self, seconds: float) -> dict[str, Any]:
-        """The answer to the last request; time in which this process was stopped is not counted."""
+    def _line(self, seconds: float) -> bytes:
+        """The next line, within a time [s] that leaves out how long this process was stopped."""
         seen = time.monotonic()
         deadline = seen + seconds
         while b"\n" not in self._buffer:
@@ -266,10 +240,19 @@ class Worker:
             if seen > deadline and b"\n" not in self._buffer:
                 raise NoAnswerError("timeout", f"took longer than {seconds:g} s")
         line, _, self._buffer = self._buffer.partition(b"\n")
-        record = unpacked(bytes(line))
-        if record.get("number") != self._number or self._buffer:
-            raise NoAnswerError("crashed", GARBLED)
-        return record
+        return bytes(line)
+
+    def _answer(self, line: bytes, *, raised: str = "error") -> dict[str, Any]:
+        """The value in an answer to the last request; raised: the status of one that raised."""
+        try:
+            match json.loads(line):
+                case {"number": self._number, "answer": dict(value)} if not self._buffer:
+                    return value
+                case {"number": self._number, "error": str(error)} if not self._buffer:
+                    raise NoAnswerError(raised, error)
+        except (ValueError, RecursionError):
+            pass
+        raise NoAnswerError("crashed", GARBLED)
 
     def _end(self) -> str:
         """A description of the end of a process that has closed its channel."""
@@ -295,23 +278,19 @@ class Worker:
         self._answers.close()
 
 
+@dataclass(eq=False)
 class Crew:
     """The workers of one slot.
 
-    desk: returns the class of a desk and its arguments, by name; home: the folder of their files.
+    desk: returns the class of a desk and its arguments, by name; home: the `scratch` folder of
+    their files; memory: the limit of each [MB]; stop: set when answers are no longer needed.
     """
 
-    def __init__(
-        self,
-        desk: Callable[[str], tuple[type, tuple[Any, ...]]],
-        home: Path,
-        *,
-        memory: float,
-        stop: Event,
-    ) -> None:
-        self._desk, self.home = desk, home
-        self._limits: dict[str, Any] = {"home": home, "memory": memory, "stop": stop}
-        self._workers: dict[str, Worker] = {}
+    desk: Callable[[str], tuple[type, tuple[Any, ...]]]
+    home: Path
+    memory: float
+    stop: Event
+    _workers: dict[str, Worker] = field(default_factory=dict)
 
     def worker(self, desk: str) -> Worker:
         """The worker of a desk, started where there is none or it has ended."""
@@ -319,9 +298,9 @@ class Crew:
         for _ in range(STARTS):
             if desk in self._workers and self._workers[desk].alive:
                 return self._workers[desk]
-            make, arguments = self._desk(desk)
+            limits: Any = {"memory": self.memory, "stop": self.stop, "home": self.home}
             try:
-                self._workers[desk] = Worker(make, arguments, **self._limits)
+                self._workers[desk] = Worker(*self.desk(desk), **limits)
             except (NoAnswerError, OSError) as failed:
                 reason = failed.reason if isinstance(failed, NoAnswerError) else described(failed)
         raise SparsefitError(

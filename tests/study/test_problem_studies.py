@@ -265,7 +265,7 @@ def test_a_data_set_without_its_package_is_refused_before_any_work(tmp_path, mon
 def test_times_are_those_of_whole_comparisons(own):
     study = sf.Study.from_file(own.path)
     named = study.planned.named(["plain steps=1"])
-    whole = study.planned.whole(named, np.ones(named.shape, bool), [""] * named.size)
+    whole = study.planned.whole(named, np.full(named.shape, ""))
     assert whole.all()
     assert study.planned.named(["iris"]).sum() == 3
     assert read_cases(own.folder)["version"].str.contains(" on ").all()

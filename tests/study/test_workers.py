@@ -63,7 +63,7 @@ def test_the_files_of_a_killed_run_go_with_it_or_at_the_next_start(tmp_path, mon
         "import os, threading\nfrom sparsefit.study import worker\n"
         "with worker.scratch() as home:\n"
         "    desk = lambda name: (worker._Caller, ())\n"
-        "    crew = worker.Crew(desk, home, memory=1e3, stop=threading.Event())\n"
+        "    crew = worker.Crew(desk, home, 1e3, threading.Event())\n"
         f"    _ = crew.worker('any') if {works} else None\n"
         "    (home / 'rows').write_text('1')\n"
         "    os.kill(os.getpid(), 9)"
