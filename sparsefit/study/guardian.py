@@ -7,7 +7,8 @@ The guardian runs as a script and imports nothing of sparsefit. It reads no requ
 for the hangup of their pipe, when the run ends, even by SIGKILL. Processes that leave the worker's
 session become children of the guardian when their parent ends (a subreaper, of Linux). The guardian
 kills them all when the worker or the run ends; the worker is killed when the guardian ends. Its
-argument is the folder of the run's files, which it removes if the run has ended without doing so.
+argument is the folder of the run's files, which it removes if the run was killed: a run that closes
+its channel itself says so before, by SIGTERM.
 """
 
 import ctypes
@@ -36,6 +37,8 @@ def main() -> None:
         work()
         os._exit(0)
     os.close(1)
+    closing = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: closing.set())
     threading.Thread(target=_watch, args=(worker,), daemon=True).start()
     _, status = os.waitpid(worker, 0)
     _end(os.killpg, worker)
@@ -44,8 +47,9 @@ def main() -> None:
             for child in children:
                 _end(os.kill, child)
             os.waitpid(-1, 0)
-    for folder in sys.argv[1:]:
-        remove_abandoned(folder)
+    if hangup(0) and not closing.is_set():
+        for folder in sys.argv[1:]:
+            remove_abandoned(folder, fcntl.LOCK_EX)
     code = os.waitstatus_to_exitcode(status)
     os._exit(code if code >= 0 else 128 - code)
 
@@ -75,12 +79,14 @@ def children_of(process: int) -> list[int]:
     return children
 
 
-def remove_abandoned(folder: str | os.PathLike[str]) -> None:
-    """Remove a folder whose lock nobody has: that of a process which was killed."""
+def remove_abandoned(
+    folder: str | os.PathLike[str], lock: int = fcntl.LOCK_EX | fcntl.LOCK_NB
+) -> None:
+    """Remove a folder whose lock nobody has, or any more: that of a process which was killed."""
     with suppress(OSError):
         place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         try:
-            fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(place, lock)
             import shutil  # takes longer than a worker's start
 
             shutil.rmtree(folder, ignore_errors=True)
@@ -88,11 +94,15 @@ def remove_abandoned(folder: str | os.PathLike[str]) -> None:
             os.close(place)
 
 
+def hangup(patience: float | None = None) -> bool:
+    """Whether the parent closes the channel of requests, or dies, within a time [ms], or ever."""
+    channel = select.poll()
+    channel.register(0, 0)  # reports POLLHUP, and no request
+    return bool(channel.poll(patience))
+
+
 def _watch(worker: int) -> None:
-    """End the worker when the parent closes the channel of requests, or dies."""
-    hangup = select.poll()
-    hangup.register(0, 0)  # reports POLLHUP, and no request
-    hangup.poll()
+    hangup()
     _end(os.killpg, worker)
     _end(os.kill, worker)
 

@@ -269,6 +269,7 @@ class Worker:
 
     def close(self) -> None:
         """End the process and all that it has started, and wait for its end."""
+        self._process.terminate()
         self._requests.close()
         try:
             self._process.wait(10.0)
