@@ -10,6 +10,7 @@ import textwrap
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,20 +58,20 @@ def entries(record: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, 
 def rows(pairs: Iterable[tuple[str, str]], width: int = 0) -> list[str]:
     """Lines `label  value` with all values below each other; width [characters] at least.
 
-    On a terminal, a longer value, the reason of a failure say, is folded below its beginning.
+    On a terminal, a long value takes several lines.
     """
     table = list(pairs)
     width = max([width, *(len(label) for label, _ in table)])
-    lines = [f"{label:<{width}}  {value}".rstrip() for label, value in table]
+    return filled((f"{label:<{width}}  {value}".rstrip() for label, value in table), width + 2)
+
+
+def filled(lines: Iterable[str], indent: int = 2) -> list[str]:
+    """Lines that a terminal does not break within a word, all but the first of one indented."""
     if not sys.stdout.isatty():
-        return lines
-    folded = textwrap.TextWrapper(
-        max(terminal_width(), width + 20),
-        subsequent_indent=" " * (width + 2),
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-    return list(map(folded.fill, lines))
+        return list(lines)
+    width, before = max(terminal_width(), indent + 30), " " * indent
+    wrap = partial(textwrap.fill, subsequent_indent=before, break_on_hyphens=False)
+    return [wrap(line, width, break_long_words=False) if line else "" for line in lines]
 
 
 def coloured(status: str) -> str:

@@ -8,7 +8,7 @@ from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.options import FORCE, RESULTS, Option, OptionPlace, Verbs, option_of, verb
-from sparsefit.cli.terminal import Progress, Reply, check_output
+from sparsefit.cli.terminal import Progress, Reply, check_output, filled
 from sparsefit.cli.verb_study import STUDY, stored
 from sparsefit.study.keys import SelectionRule
 from sparsefit.study.schema import names_of, sentences
@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> Reply:
     listed = (f"- {line}" for line in lines(selection, checked))
     closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
     said = [headline(selection), *listed, closing, usage]
-    return Reply(record, said, int(chosen is None))
+    return Reply(record, filled(said), int(chosen is None))
 
 
 def _ran(study: Study, args: argparse.Namespace) -> Study:

@@ -145,9 +145,11 @@ def run_study(args: argparse.Namespace) -> Reply:
     if not summary.finished:
         return Reply(record | {"rest": "run without --only for the rest, and the report"})
     written, cases = list(map(str, page.write(study))), study.cases
-    record |= {"headline": page.headline(study, cases), "written": written, "report": written[-1]}
-    shown = "" if args.json else page.show(study, cases, width=terminal_width())
-    lines = [shown, *terminal.rows(terminal.entries(record))]
+    record |= {"report": written[-1]}
+    shown = "" if args.json else page.show(study, cases, width=terminal_width(), tables_shown=1)
+    more = f"all tables: sparsefit study show {args.study}"
+    lines = [shown, *terminal.rows(terminal.entries(record)), more]
+    record |= {"headline": page.headline(study, cases), "written": written}
     if other is not None:
         compared = _compared(other, cases, (args.against, str(summary.folder)))
         record |= {"comparison": compared.record}
@@ -178,9 +180,10 @@ def errors(args: argparse.Namespace) -> Reply:
     study, state = stored(args, whole=False)
     groups = tables.failures(study.cases).reset_index()
     done = {"done": state.done, "planned": state.planned, "not_ok": int(groups["cases"].sum())}
-    groups = groups.rename(columns={"title": "label", "reason_of_it": "reason"})
-    shown = ["cases", "status", "label", "reason", "first_case"]
-    return Reply({"study": study.name, **done, "groups": groups[shown].to_dict("records")})
+    keys = {"cases": "cases", "status": "status", "title": "label", "reason of it": "reason",
+            "first case": "first_case"}  # fmt: skip
+    found = groups[[*keys]].rename(columns=keys).to_dict("records")
+    return Reply({"study": study.name, **done, "groups": found})
 
 
 def show(args: argparse.Namespace) -> Reply:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,78 +29,86 @@ if TYPE_CHECKING:
 def tables(selection: Selection) -> dict[str, Table]:
     """Return the tables of candidates and regimes and, if measured, of latency."""
     criterion, study = selection.criterion, selection.study
-    unit, least = criterion.measure.unit, criterion.measure.least
-    score: dict[str, Any] = {"unit": unit, "least": least}
-    candidates, regimes, times = list[Row](), list[Row](), list[Row]()
-    is_split = len(selection.units) > 1
-    for each in sorted(selection.ranked, key=lambda each: each is not selection.chosen):
-        apart, said = each.apart, verdict(selection, each)
-        candidates.append((
-            str(len(candidates) + 1), each.title, said, each.evaluate, *each.between,
-            *[each.validate] * is_split,
-            *((None,) * 3 if apart is None else (apart.effect, apart.low, apart.high)),
-        ))  # fmt: skip
-        regimes.append((each.title, said, *each.by_regime.tolist(), each.evaluate))
-        if seen := selection.latencies.get(each.candidate):
-            times.append((each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"],
-                          100.0 * seen["busy"]))  # fmt: skip
-    candidates += [("–", title, f"not on board: {why}", *(None,) * (6 + is_split))
-                   for title, why in selection.refused.items()]  # fmt: skip
-    first, last = ("validate", "evaluate") if is_split else ("difference", "score")
-    heads = (
-        *map(Column, ("rank", "candidate", "verdict")),
-        *(Column(name, group=last, **score) for name in ("criterion", "from", "to")),
-        *[Column("criterion", group=first, **score)] * is_split,
-        *(Column(name, unit, group=first) for name in ("worse by", "from", "to")),
-    )
-    latency = (("median", "ms", ""), ("99th percentile", "ms", ""), ("peak memory", "MB", ".0f"),
-               ("disturbed", "%", ".0f"))  # fmt: skip
+    unit, is_split = criterion.measure.unit, len(selection.units) > 1
+    ranked = sorted(selection.ranked, key=lambda each: each is not selection.chosen)
+    said = [verdict(selection, each) for each in ranked]
+
+    def scores(*names: str, group: str = "") -> list[Column]:
+        return [Column(name, unit, group=group, least=criterion.measure.least) for name in names]
+
+    scored, apart = ("evaluate", "validate") if is_split else ("score", "difference")
+    heads = [*map(Column, ("rank", "candidate", "verdict"))]
+    heads += scores("criterion", "from", "to", group=scored)
+    heads += scores("criterion", group=apart) if is_split else []
+    heads += [Column(name, unit, group=apart) for name in ("worse by", "from", "to")]
+    rows: list[Row] = []
+    for place, (each, words) in enumerate(zip(ranked, said, strict=True), 1):
+        row = [str(place), each.title, words, each.evaluate, *each.between]
+        row += [each.validate] if is_split else []
+        row += [None] * 3 if each.apart is None else astuple(each.apart)[:3]
+        rows.append(tuple(row))
+    for title, why in selection.refused.items():
+        rows.append(("–", title, f"not on board: {why}", *[None] * (len(heads) - 3)))
+    ranking = Table(f"Candidates of the selection ({study})", tuple(heads), rows, (
+        f"Criterion: {criterion.words}. {FAILURES * (criterion.measure.miss is not None)}".strip(),
+        "Worse by: than the chosen. Intervals: 95 %, by bootstrap over the same "
+        f"{selection.unit}s for all.",
+    ))  # fmt: skip
+    by_regime: list[Row] = [
+        (each.title, words, *each.by_regime.tolist(), each.evaluate)
+        for each, words in zip(ranked, said, strict=True)
+    ]
+    heads = [*map(Column, ("candidate", "verdict")), *scores(*criterion.regimes, "all")]
     made = {
-        "selection": Table(f"Candidates of the selection ({study})", heads, candidates, (
-            f"Criterion: {criterion.words}. {FAILURES * (criterion.measure.miss is not None)}",
-            "Worse by: than the chosen. Intervals: 95 %, by bootstrap over the same "
-            f"{selection.unit}s for all.",
-        )),
-        "regimes": Table(f"Regimes ({study})", (
-            *map(Column, ("candidate", "verdict")),
-            *(Column(name, **score) for name in (*criterion.regimes, "all")),
-        ), regimes),
-        "latency": Table(f"Latency and memory ({study})", (
-            Column("candidate"), *(Column(*each, varies=True) for each in latency),
-        ), times, (
-            "One flight at a time in a process of its own with BLAS on one thread, after a "
-            "warm-up. Disturbed: flights during which other programs had the core.",
-        )),
-    }  # fmt: skip
+        "selection": ranking,
+        "regimes": Table(f"Regimes ({study})", tuple(heads), by_regime),
+        "latency": _latencies(selection, ranked),
+    }
     return {name: each for name, each in made.items() if each.rows}
+
+
+def _latencies(selection: Selection, ranked: Sequence[Any]) -> Table:
+    """Return the table of the candidates that were timed."""
+    rows: list[Row] = [
+        (each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"], 100.0 * seen["busy"])
+        for each in ranked
+        if (seen := selection.latencies.get(each.candidate))
+    ]
+    columns = (
+        Column("candidate"),
+        *(Column(name, "ms", varies=True) for name in ("median", "99th percentile")),
+        Column("peak memory", "MB", ".0f", varies=True),
+        Column("disturbed", "%", ".0f", varies=True),
+    )
+    note = (
+        "One flight at a time in a process of its own with BLAS on one thread, after a warm-up. "
+        "Disturbed: flights during which other programs had the core."
+    )
+    return Table(f"Latency and memory ({selection.study})", columns, rows, (note,))
 
 
 def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
     """Return the selection for JSON."""
     made, chosen, cases = tables(selection), selection.chosen, selection.cases
-    of: dict[str, Any] = {
-        "study": selection.study, "rule": asdict(selection.rule),
-        "criterion": selection.criterion.words, "unit": selection.criterion.measure.unit,
-        "units": dict(selection.units), "summary": headline(selection),
-        "candidates": len(selection.ranked), "eligible": len(selection.passing),
-        "tied": [each.title for each in selection.tied], "refused": dict(selection.refused),
-        "table": made["selection"].record(), "regimes": made["regimes"].record(),
-    }  # fmt: skip
+    of: dict[str, Any] = {name: getattr(selection, name) for name in ("study", "units", "refused")}
+    of |= {"rule": asdict(selection.rule), "criterion": selection.criterion.words}
+    of |= {"unit": selection.criterion.measure.unit, "summary": headline(selection)}
+    of |= {"candidates": len(selection.ranked), "eligible": len(selection.passing)}
+    of |= {"tied": [each.title for each in selection.tied]}
+    of |= {"table": made["selection"].record(), "regimes": made["regimes"].record()}
     if chosen is not None:
         row = cases[cases["candidate"] == chosen.candidate].iloc[0]
         own = [name for name in factors(cases) if not name.startswith("flights.")]
         regimes = zip(selection.criterion.regimes, chosen.by_regime.tolist(), strict=True)
-        of |= {
-            "candidate": chosen.candidate, "title": chosen.title,
-            "protocol": row.get("reading", row.get("protocol", "")), "backend": row["backend"],
-            "settings": json.loads(row["settings"]),
-            "factors": {name: str(row[name]) for name in own},
-            "validate": chosen.validate, "evaluate": chosen.evaluate,
-            "interval": chosen.between, "by_regime": dict(regimes),
-            "regret": selection.regret.effect if selection.regret else None,
-            "latency": selection.latencies.get(chosen.candidate),
-            "check": asdict(check) if check else None,
-        }  # fmt: skip
+        names = ("candidate", "title", "backend", "validate", "evaluate")
+        of |= {name: getattr(chosen, name) for name in names}
+        of |= {"protocol": row.get("reading", row.get("protocol", ""))}
+        of |= {"settings": json.loads(row["settings"])}
+        of |= {"factors": {name: str(row[name]) for name in own}}
+        of |= {"interval": chosen.between, "by_regime": dict(regimes)}
+        of |= {"regret": selection.regret.effect if selection.regret else None}
+        of |= {"latency": selection.latencies.get(chosen.candidate)}
+        of |= {"check": asdict(check) if check else None}
     cleaned: dict[str, Any] = finite_or_none(of)
     return cleaned
 
@@ -110,50 +118,51 @@ def provenance(study: Any, selection: Selection) -> dict[str, Any]:
     if selection.chosen is None:
         return {}
     of = record(selection)
-    names = ("study", "rule", "units", "criterion", "unit", "title", "validate", "evaluate",
-             "interval", "by_regime", "regret", "tied", "latency")  # fmt: skip
-    return {"study_hash": study.hash, "seed": study.seed, **{name: of[name] for name in names}}
+    tables = ("table", "regimes")
+    evidence = {name: value for name, value in of.items() if name not in tables}
+    return {"study_hash": study.hash, "seed": study.seed, **evidence}
 
 
 def pareto(selection: Selection) -> Picture:
     """Return the figure of accuracy against latency of the timed candidates, with their front."""
-    criterion = selection.criterion
     timed = [
-        (each, 1e3 * seen["median"], 1e3 * seen["p99"]) for each in selection.ranked
+        (each, 1e3 * seen["median"], 1e3 * seen["p99"])
+        for each in selection.ranked
         if (seen := selection.latencies.get(each.candidate)) and math.isfinite(seen["median"])
-    ]  # fmt: skip
-
-    @styled
-    def draw() -> Figure | None:
-        y_label = wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50)
-        curves = [Curve(each.title, np.array([x]), np.array([each.evaluate]))
-                  for each, x, _ in timed]  # fmt: skip
-        panel = Panel(curves, "latency of one estimate [ms]", y_label, "", {"ls": "", "ms": 5.0},
-                      log="x")  # fmt: skip
-        ranks = {each.title: criterion.sign * each.evaluate for each, *_ in timed}
-        figure = drawn([[panel]], 3.6, ranks)
-        front = list[tuple[float, float]]()
-        for x, loss in sorted((x, ranks[e.title]) for e, x, _ in timed if not e.breaches):
-            if not front or loss < front[-1][1]:
-                front.append((x, loss))
-        for axes in figure.axes if figure else ():
-            axes.autoscale()
-            for each, x, slowest in timed:
-                axes.hlines(each.evaluate, x, slowest, color=GREY, lw=0.6, zorder=1)
-                axes.vlines(x, *each.between, color=GREY, lw=0.6, zorder=1)
-                if each is selection.chosen:
-                    axes.plot([x], [each.evaluate], "o", ms=13, mfc="none", mec="black", mew=1.0)
-            axes.step([x for x, _ in front], [criterion.sign * loss for _, loss in front],
-                      where="post", color=GREY, lw=0.9, ls="--", zorder=1)  # fmt: skip
-            logarithmic(axes.xaxis, *axes.xaxis.get_view_interval())
-        return figure
-
+    ]
     caption = (
         "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
         "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
         "constraint."
     )
-    return Picture(draw(), caption if timed else "No candidate was timed.")
+    return Picture(_drawn(selection, timed), caption if timed else "No candidate was timed.")
+
+
+@styled
+def _drawn(selection: Selection, timed: Sequence[tuple[Any, float, float]]) -> Figure | None:
+    """Draw the criterion of candidates against their latencies, median and 99th percentile [ms]."""
+    criterion = selection.criterion
+    y_label = wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50)
+    points = [Curve(each.title, np.array([x]), np.array([each.evaluate])) for each, x, _ in timed]
+    style = {"ls": "", "ms": 5.0}
+    panel = Panel(points, "latency of one estimate [ms]", y_label, style=style, log="x")
+    ranks = {each.title: criterion.sign * each.evaluate for each, *_ in timed}
+    figure = drawn([[panel]], 3.6, ranks)
+    if figure is None:
+        return None
+    (axes,) = figure.axes
+    axes.autoscale()
+    for each, x, slowest in timed:
+        axes.hlines(each.evaluate, x, slowest, color=GREY, lw=0.6, zorder=1)
+        axes.vlines(x, *each.between, color=GREY, lw=0.6, zorder=1)
+        if each is selection.chosen:
+            axes.plot([x], [each.evaluate], "o", ms=13, mfc="none", mec="black", mew=1.0)
+    front = sorted((x, ranks[each.title]) for each, x, _ in timed if not each.breaches)
+    times, losses = np.array(front).reshape(-1, 2).T
+    best = criterion.sign * np.minimum.accumulate(losses)
+    axes.step(times, best, where="post", color=GREY, lw=0.9, ls="--", zorder=1)
+    logarithmic(axes.xaxis, *axes.xaxis.get_view_interval())
+    return figure
 
 
 def write_selection(
@@ -163,19 +172,22 @@ def write_selection(
     said, made, picture = list(lines(selection, check)), tables(selection), pareto(selection)
     answer, title = headline(selection), f"{study.name}: the selection"
     files = files_of(study.name, made, {"pareto": picture})
+    shown = drawing("pareto", picture, files.get("pareto.svg", b""))
+    rule = json.dumps(asdict(selection.rule), indent=1)
     sections: dict[str, Sequence[Any]] = {
         "Why": [said],
         "Candidates": [made["selection"]],
-        "Accuracy and latency": [drawing("pareto", picture, files.get("pareto.svg", b"")),
-                                 made["latency"]] if "latency" in made else [],
-        "Regimes": [made["regimes"],
-                    Code("The rule", json.dumps(asdict(selection.rule), indent=1))],
-    }  # fmt: skip
-    image = "![accuracy and latency](pareto.svg)" if picture.figure is not None else ""
-    text = [f"# {title}", f"**{study.question}**", f"**{answer}**",
-            "\n".join(f"- {line}" for line in said), image, made["selection"].to_markdown(12),
-            "Tables: [selection.csv](selection.csv), [regimes.csv](regimes.csv). Written by "
-            "`sparsefit select`; do not edit."]  # fmt: skip
+        "Accuracy and latency": [shown, made["latency"]] if "latency" in made else [],
+        "Regimes": [made["regimes"], Code("The rule", rule)],
+    }
+    text = [
+        f"# {title}\n\n**{study.question}**\n\n**{answer}**",
+        "\n".join(f"- {line}" for line in said),
+        "![accuracy and latency](pareto.svg)" if picture.figure is not None else "",
+        made["selection"].to_markdown(12),
+        "Tables: [selection.csv](selection.csv), [regimes.csv](regimes.csv). Written by "
+        "`sparsefit select`; do not edit.",
+    ]
     page = to_html(title, study.question, answer, sections).encode()
     files |= {"evidence.html": page, "evidence.md": joined(text)}
     return write_files(folder or study.folder, files)

@@ -14,6 +14,7 @@ import re
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -25,7 +26,7 @@ from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import asked, grouped, is_predicted, script_of
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import Measure, in_flow, measure
-from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, plain, sentence, significant
+from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files, write_whole
 
@@ -172,12 +173,12 @@ def progress(study: Any, cases: pd.DataFrame) -> str:
     return f"{len(cases)} of {planned} planned cases: {ended}. Seed {study.seed}."
 
 
-def show(study: Any, cases: pd.DataFrame, *, width: int) -> str:
+def show(study: Any, cases: pd.DataFrame, *, width: int, tables_shown: int = 99) -> str:
     """Return the question, the headline and the first tables for a terminal."""
-    made = tables.tables(study, cases)
+    made = list(tables.tables(study, cases).values())[:tables_shown]
     head = (f"{study.name}: {study.question}", headline(study, cases), progress(study, cases))
     said = [textwrap.fill(text, width, break_on_hyphens=False) for text in head]
-    return "\n".join([*said, "", *(each.to_text(width) for each in made.values())])
+    return "\n".join([*said, "", *(each.to_text(width) for each in made)])
 
 
 def files_of(study: str, made: Mapping[str, Table], pictures: Mapping[str, Picture]) -> Files:
@@ -241,25 +242,21 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
     """Return the README: question, headline, figures, and tables as far as they are short."""
     words = (study.name, study.question, said[0])
     name, question, answer = (text.translate(MARKDOWN) for text in words)
-    parts = [f"# {name}", f"**{question}**", answer,
-             f"{said[1]} Written by `sparsefit study report`; do not edit."]  # fmt: skip
-    shown, texts, linked = list[str](), list[str](), list[str]()
+    written = f"{said[1]} Written by `sparsefit study report`; do not edit."
+    parts, shown, texts, linked = [f"# {name}", f"**{question}**", answer, written], [], [], []
     for name, picture in pictures.items():
         caption = picture.caption.translate(MARKDOWN)
         file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
         shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
-    # Longer tables are linked.
     room = 700 - sum(len(part.split()) for part in (*parts, *shown))
     for name, each in made.items():
-        count, head = len(each.rows), len(each.to_markdown(0).split())
-        of_row = (len(each.to_markdown(count).split()) - head) / max(count, 1)
-        rows = min(count, 60, int((room - head) / max(of_row, 1.0)))
-        if each.varies or rows < min(6, count):
+        fitting = (each.to_markdown(rows) for rows in (60, 30, 15, 8))
+        text = next((text for text in fitting if len(text.split()) <= room), "")
+        if each.varies or not text:
             linked.append(f"[{name}]({name}.csv)")
             continue
-        more = f"\n{count - rows} more rows: [{name}.csv]({name}.csv)\n" if count > rows else ""
-        texts.append(each.to_markdown(rows) + more)
-        room -= len(texts[-1].split())
+        texts.append(text)
+        room -= len(text.split())
     parts += [*texts, *shown] if "prediction" in made else [*shown, *texts]
     return joined([*parts, f"More tables: {', '.join(linked)}." if linked else ""])
 
@@ -273,18 +270,17 @@ def write_case(study: Any, case_id: str, file: Path) -> Table:
     Raises:
         InputError: if the study plans no such case.
     """
+    import pandas as pd
+
     from sparsefit.plot import draw_estimate
 
     again, cases = study.again(case_id), study.cases
-    mine = cases[cases["case_id"] == case_id].to_dict("records")
-    stored: dict[Any, Any] = mine[0] if mine else {}
-    truth = {f"est_{name[5:]}": value for name, value in stored.items() if name[:5] == "true_"}
-    rows = [
-        (name, *map(plain, (truth.get(name), stored.get(name), value)))
-        for name, value in again.values.items()
-        if plain(stored.get(name)) is not None or plain(value) not in (None, "")
-    ]
+    same: list[Any] = cases[cases["case_id"] == case_id].to_dict("records")
+    stored = same[0] if same else {}
+    numbers = {"stored": stored, "run again": again.values}
     if study.kind == "flights":
+        truth = {f"est_{name[5:]}": stored[name] for name in stored if name.startswith("true_")}
+        numbers = {"truth": truth, **numbers}
         case = stored or study.plan().set_index("case_id").loc[case_id]
         flow, flights = again.flown.draw.flow, list(again.flown.fleet[:1])
         truths = [part.length_scale for part in flow.cells] if flow is not None else []
@@ -292,8 +288,7 @@ def write_case(study: Any, case_id: str, file: Path) -> Table:
         estimator = study.estimator(case["candidate"])
         figure = draw_estimate(again.estimate, estimator, flights, title, truths)
         write_whole(file, encoded(figure, file.suffix.lower()))
-    names = ["truth", "stored", "run again"]
-    if study.kind == "problems":  # which have a truth of none of these numbers
-        rows, names = [(name, *values) for name, _, *values in rows], names[1:]
-    values = (Column(name, format=".6g") for name in names)
-    return Table(f"Case {case_id}", (Column("what"), *values), rows)
+    frame = pd.DataFrame(numbers, index=pd.Index(again.values, name="what"), dtype=object)
+    frame = frame.replace("", None).dropna(how="all", subset=["stored", "run again"])
+    columns = (Column("what"), *(Column(name, format=".6g") for name in numbers))
+    return replace(Table.of(frame), title=f"Case {case_id}", columns=columns)

@@ -179,24 +179,27 @@ def select(
 def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
     """Return `candidate`, `title`, `reading` with its factors, `backend` and `label`.
 
-    A label that several candidates of a reading share is replaced by what their titles say.
+    Factors that a reading sets are part of its name. A label that several candidates of a reading
+    share is replaced by what their titles say.
     """
-    import pandas as pd
-
-    of_units = ("flights.", "problems.")
-    own, rows = [name for name in factors(cases) if not name.startswith(of_units)], []
-    for row in cases.drop_duplicates("candidate").to_dict("records"):
-        levels = (f"{factor_words(n)} none" if row[n] == "none" else str(row[n]) for n in own)
-        words = [str(row.get("reading", row.get("protocol", ""))), *levels]
-        reading = ", ".join(part for part in words if part and part != "default")
-        title, backend = str(row["title"]), str(row["backend"])
-        rows.append((str(row["candidate"]), title, reading, backend, row.get("label") or backend))
-    frame = pd.DataFrame(rows, columns=["candidate", "title", "reading", "backend", "label"])
-    parts = zip(frame["title"], frame["reading"], strict=True)
-    own = [title.removeprefix(f"{reading}: ") for title, reading in parts]
-    return frame.assign(
-        label=frame["label"].mask(frame.duplicated(["reading", "label"], keep=False), own)
+    rows = cases.drop_duplicates("candidate").reset_index(drop=True)
+    named = rows["reading" if "reading" in rows else "protocol"] if "protocol" in rows else ""
+    rows = rows.assign(reading=named)
+    own = [name for name in factors(rows) if not name.startswith(("flights.", "problems."))]
+    own = [name for name in own if rows.groupby("reading")[name].nunique(dropna=False).max() > 1]
+    labels = rows["label"].mask(rows["label"] == "", rows["backend"])
+    only_default = (rows["reading"] == "default").all()
+    words = [[] if only_default else [name] for name in rows["reading"]]
+    for name in own:
+        for parts, level in zip(words, rows[name], strict=True):
+            parts.append(f"{factor_words(name)} none" if level == "none" else str(level))
+    ends = zip(rows["title"], rows["reading"], strict=True)
+    title_ends = [title.removeprefix(f"{reading}: ") for title, reading in ends]
+    frame = rows[["candidate", "title", "backend"]].assign(
+        reading=[", ".join(filter(None, parts)) for parts in words], label=labels
     )
+    alike = frame.duplicated(["reading", "label"], keep=False)
+    return frame.assign(label=frame["label"].mask(alike, title_ends))
 
 
 def check_rule(study: Any) -> None:

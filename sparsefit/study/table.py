@@ -233,7 +233,7 @@ class Table:
         every = [self.heads, *self.texts(most)]
         lines = [f"| {' | '.join(text.translate(MARKDOWN) for text in row)} |" for row in every]
         lines.insert(1, f"|{'|'.join(':--' if words else '--:' for words in self.is_text)}|")
-        notes = "".join(f"\n{note.translate(MARKDOWN)}\n" for note in self.notes)
+        notes = "".join(f"\n{note.translate(MARKDOWN)}\n" for note in self.remarks(most))
         return f"### {self.title.translate(MARKDOWN)}\n\n" + "\n".join(lines) + f"\n{notes}"
 
     def to_text(self, width: int = 100, most: int = 100) -> str:
@@ -242,59 +242,68 @@ class Table:
         Nothing is cut: what is too long takes several lines, and columns that do not fit follow in
         a further block behind the names.
         """
-        is_text = self.is_text
-        names = max(1, min([*is_text, False].index(False), len(self.columns) - 1))
-        heads = [(column.group, column.heading) for column in self.columns]
-        columns = list(zip(*self.texts(most), strict=True)) or [()] * len(heads)
+        texts, align = self.texts(most), ["<" if words else ">" for words in self.is_text]
+        names = max(1, min([*align, ">"].index(">"), len(self.columns) - 1))
         sizes = [
-            max((len(line) for text in head for line in _wrapped(text, 28)), default=0)
-            for head in heads
+            max(map(len, (*_wrapped(column.heading, 28), *(row[place] for row in texts))))
+            for place, column in enumerate(self.columns)
         ]
-        sizes = [max([size, *map(len, texts)]) for size, texts in zip(sizes, columns, strict=True)]
         room, shortest_first = int(0.6 * width), sorted(range(names), key=sizes.__getitem__)
         for place, sharers in zip(shortest_first, range(names, 0, -1), strict=True):
             sizes[place] = min(sizes[place], max(room // sharers - 2, 12))
             room -= sizes[place] + 2
-        free = max(width - sum(size + 2 for size in sizes[:names]), 12)
-        sizes[names:] = [min(size, free) for size in sizes[names:]]
+        free, taken = max(width - sum(size + 2 for size in sizes[:names]), 12), 0
         blocks = [list(range(names))]
-        for place in range(names, len(heads)):
-            taken = sum(sizes[at] + 2 for at in blocks[-1][names:])
-            if taken and taken + sizes[place] > free:
-                blocks.append(list(range(names)))
-            blocks[-1].append(place)
+        places = range(names, len(sizes))
+        for _, run in itertools.groupby(places, lambda at: self.columns[at].group or str(at)):
+            group = list(run)
+            for at in group:
+                longest_word = max(map(len, self.columns[at].group.split()), default=0)
+                sizes[at] = min(max(sizes[at], longest_word), free)
+            span = sum(sizes[at] + 2 for at in group) - 2
+            for at in group:  # together, if they fit
+                if taken and taken + (span if at == group[0] else sizes[at]) > free:
+                    taken = 0
+                    blocks.append(list(range(names)))
+                taken += sizes[at] + 2
+                blocks[-1].append(at)
         printed = list[str]()
         for block in blocks:
-            above = [[line for text in heads[at] for line in _wrapped(text, sizes[at])]
-                     for at in block]  # fmt: skip
-            highest = max(map(len, above))
-            cells = ([_wrapped(text, sizes[at]) for text in columns[at]] for at in block)
-            rows = [[[""] * (highest - len(lines)) + lines for lines in above],
-                    *zip(*cells, strict=True)]  # fmt: skip
-            printed.append("\n".join(
-                "  ".join(
-                    text.ljust(sizes[at]) if at < names or is_text[at] else text.rjust(sizes[at])
-                    for at, text in zip(block, line, strict=True)
-                ).rstrip()
-                for row in rows for line in itertools.zip_longest(*row, fillvalue="")
-            ))  # fmt: skip
+            widths, signs = [sizes[at] for at in block], [align[at] for at in block]
+            runs = itertools.groupby(block, key=lambda at: self.columns[at].group)
+            spans = [(group, sum(sizes[at] + 2 for at in own) - 2) for group, own in runs]
+            above = [_wrapped(group, span) for group, span in spans]
+            lines = _lines(above, [span for _, span in spans], "^" * len(spans))
+            heads = [_wrapped(self.columns[at].heading, sizes[at]) for at in block]
+            lines += _lines(heads, widths, signs)
+            for row in texts:
+                lines += _lines([_wrapped(row[at], sizes[at]) for at in block], widths, signs, 1)
+            printed.append("\n".join(lines))
         notes = [textwrap.fill(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, *printed, *notes]) + "\n"
 
     def __str__(self) -> str:
         return self.to_text()
 
-    def _repr_html_(self) -> str:
-        import pandas as pd
-
-        shown = pd.DataFrame(self.texts(60), columns=self.heads)
-        return shown.style.hide(axis="index").to_html()
-
 
 def _wrapped(text: str, width: int) -> list[str]:
     """Return text as lines of at most `width` letters, all but the first indented."""
     text = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}")  # a pair on one line
     return textwrap.wrap(text, width, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _lines(
+    cells: Sequence[list[str]], widths: Sequence[int], align: Sequence[str], top: int = 0
+) -> list[str]:
+    """Return the lines of a row of cells of several lines each, `top` or bottom aligned."""
+    highest = max(map(len, cells))
+    padded = [cell if top else [""] * (highest - len(cell)) + cell for cell in cells]
+    return [
+        "  ".join(
+            f"{text:{sign}{width}}" for text, sign, width in zip(line, align, widths, strict=True)
+        ).rstrip()
+        for line in itertools.zip_longest(*padded, fillvalue="")
+    ]
 
 
 def _tex(text: str) -> str:

@@ -180,12 +180,14 @@ def failures(cases: pd.DataFrame) -> pd.DataFrame:
     bad = cases[cases["status"] != "ok"]
     alike = bad["reason"].str.replace(r"[-+]?\d[\d.,e+-]*", "#", regex=True)
     groups = bad.groupby(["title", "status", alike], sort=False, dropna=False)
-    frame = groups.agg(
-        cases=("case_id", "size"),
-        where=("problem" if "problem" in bad else "unit", lambda units: listed(units, "and")),
-        first_case=("case_id", "first"),
-        reason_of_it=("reason", "first"),
-    )
+    names = "problem" if "problem" in bad else "unit"
+    summaries = {
+        "cases": (names, "size"),
+        "where": (names, lambda units: listed(units, "and")),
+        "first case": ("case_id", "first"),
+        "reason of it": ("reason", "first"),
+    }
+    frame = groups.agg(**summaries)
     frame = frame.droplevel(2).sort_values("cases", ascending=False, kind="stable")
     frame.attrs["title"] = "Who failed where"
     return frame
