@@ -69,12 +69,6 @@ class Entry:
         """
         return [measure(words) for words in self.measure]
 
-    @property
-    def file_name(self) -> str:
-        """The name, or one made of what is measured."""
-        words = self.name or "-".join([*self.measure, *([self.along] if self.along else [])])
-        return words.replace(" ", "-").replace("/", "-")[:100]
-
 
 def script_of(study: Any) -> Path | None:
     """Return the Python file that a study names, beside its own."""
@@ -182,7 +176,7 @@ def asked(
         if other := kinds & {"flights", "problems"} - {study.kind}:
             words = f"is of {other.pop()}, and these cases are of {study.kind}"
             raise InputError(f"the {kind} {name!r} {words}")
-        yield read.file_name, read
+        yield name or "-".join(read.measure).replace(" ", "-")[:100], read
 
 
 def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:

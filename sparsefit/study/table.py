@@ -205,8 +205,8 @@ class Table:
         ]
         return pd.DataFrame(rows, columns=self.heads).to_csv(index=False, lineterminator="\n")
 
-    def to_latex(self, label: str = "", most: int = 60) -> str:
-        """Return a float with a booktabs table."""
+    def to_latex(self, label: str = "", most: int = 40) -> str:
+        """Return a float with a booktabs table, which is scaled down to the width of a line."""
         import pandas as pd
 
         names = [(_tex(column.group), _tex(column.heading)) for column in self.columns]
@@ -214,19 +214,23 @@ class Table:
         if not any(column.group for column in self.columns):
             heads = heads.get_level_values(1)
         cells = [list(map(_tex, row)) for row in self.texts(most)]
-        style = pd.DataFrame(cells, columns=heads).style.hide(axis="index")
-        float_ = "sidewaystable" if len(self.columns) > 10 else "table"
-        text = style.to_latex(
-            column_format="".join("l" if words else "r" for words in self.is_text),
-            position="htbp", hrules=True, multicol_align="c", environment=float_,
-            caption=_tex(self.title), label=re.sub(r"[^A-Za-z0-9:-]", "-", label) or None,
-        )  # fmt: skip
+        text = (
+            pd.DataFrame(cells, columns=heads)
+            .style.hide(axis="index")
+            .to_latex(
+                column_format="".join("l" if words else "r" for words in self.is_text),
+                position="htbp",
+                hrules=True,
+                multicol_align="c",
+                caption=_tex(self.title),
+                label=re.sub(r"[^A-Za-z0-9:-]", "-", label) or None,
+            )
+        )
+        fit = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
         notes = "".join(f"\\par\\smallskip {_tex(note)}\n" for note in self.remarks(most))
-        packages = "booktabs,multirow,rotating" if float_ != "table" else "booktabs,multirow"
-        text = text.replace(rf"\end{{{float_}}}", rf"{notes}\end{{{float_}}}")
-        if float_ != "table" or len(cells) > 30:  # one page
-            text = text.replace("\\begin{tabular}", "\\scriptsize\n\\begin{tabular}")
-        return f"% needs \\usepackage{{{packages}}}\n{text}"
+        text = text.replace(r"\begin{tabular}", f"\\small\n{fit}\n\\begin{{tabular}}")
+        text = text.replace("\\end{tabular}\n", f"\\end{{tabular}}}}\n{notes}")
+        return f"% needs \\usepackage{{booktabs,graphicx}}\n{text}"
 
     def to_markdown(self, most: int = 60) -> str:
         """Return a heading, the first `most` rows as a table, and the notes."""
