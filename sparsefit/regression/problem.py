@@ -302,7 +302,9 @@ def _row_factors(
 def _adjusted(raw: Array, weight: Array | None, intercept: bool) -> dict[str, Any]:
     """The fields of a problem with sample weights and an intercept, for the target ``raw``."""
     roots, direction = _row_factors(weight, intercept, len(raw))
-    target = raw if roots is None else raw * roots[:, None]
+    level = 0.0 if direction is None else np.median(raw, axis=0)  # a constant target becomes 0
+    target = raw - level
+    target = target if roots is None else target * roots[:, None]
     if direction is not None:
         target = target - np.multiply.outer(direction, direction @ target)
     own = {"raw_target": raw, "sample_weight": weight, "intercept": intercept}

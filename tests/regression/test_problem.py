@@ -370,3 +370,13 @@ def test_an_offset_of_the_columns_costs_no_digits_beside_an_intercept(order, wei
     np.testing.assert_allclose(fit.intercept, near.intercept - offset @ fit.weights, rtol=1e-9)
     np.testing.assert_allclose(fit.predict(far), near.predict(theta), atol=1e-6)
     assert fit.certificate.rounding < 1e-12
+
+
+@pytest.mark.parametrize("weight", [None, np.arange(80) % 3])
+def test_a_constant_target_is_the_intercept_alone(weight):
+    theta = np.random.default_rng(0).normal(size=(80, 6))
+    for name in ("lasso", "square-root-lasso", "slope"):
+        fit = sf.fit(theta, np.full(80, 0.3), name, intercept=True, sample_weight=weight)
+        assert (fit.status, fit.reason) == ("ok", "")
+        assert fit.weights.tolist() == np.zeros((6, 1)).tolist()
+        assert fit.intercept == pytest.approx([0.3], rel=1e-12)
