@@ -191,7 +191,7 @@ class Model:
             kicks[level, state] = 2.0 * rate * variance if rate else variance
             spread[level, state] = variance if rate else 0.0
             if track is not None and rate and order[place] in WIND:
-                speeds = np.hypot(*(track[:, 2:4] - self.pattern.drift).T)
+                speeds = self.pattern.speed_through(track[:, 2:4])
                 speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
                 squares = speeds**2 + variance + 1e-300
                 pace[:, state] = np.sqrt(squares / squares.mean())
