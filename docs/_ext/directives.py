@@ -38,6 +38,7 @@ from sparsefit.study.schema import described, sentences
 
 DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"
+DECIMAL = re.compile(r"-?[0-9]+(\.[0-9]+(e[+-]?[0-9]+)?|e[+-]?[0-9]+)")
 README = re.compile(r"\]\(\.\./results/([a-z0-9_-]+)/README\.md\)")
 
 
@@ -71,7 +72,7 @@ def meanings(section: str) -> dict[str, str]:
     return words | tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8")).get(section, {})
 
 
-def key_table(section: str, _: Mapping[str, str] | None = None) -> list[str]:
+def study_keys(section: str, _: Mapping[str, str] | None = None) -> list[str]:
     """A Markdown table of the keys of a section; ValueError for one without a description."""
     words = meanings(section)
     missing = [key for key, text in words.items() if not text]
@@ -87,15 +88,12 @@ def _listed(text: str) -> list[str]:
 def _selected(name: str, columns: list[str], where: str) -> pd.DataFrame:
     """Rows of results/NAME.csv where columns hold one of `value | value`, and these columns."""
     frame = pd.read_csv(RESULTS / f"{name}.csv", dtype=str, keep_default_na=False)
-    wanted = {
-        column.strip(): [value.strip() for value in values.split("|")]
-        for column, _, values in (part.partition("=") for part in _listed(where))
-    }
+    wanted = dict(map(str.strip, part.split("=", 1)) for part in _listed(where))
     absent = [column for column in (*columns, *wanted) if column not in frame]
     if absent:
         raise ValueError(f"{name}.csv has no column {absent}; it has {', '.join(frame)}")
     for column, values in wanted.items():
-        frame = frame[frame[column].isin(values)]
+        frame = frame[frame[column].isin([value.strip() for value in values.split("|")])]
     if frame.empty:
         raise ValueError(f"{name}.csv has no row where {where}")
     return frame[columns or list(frame)]
@@ -105,15 +103,8 @@ def results(name: str, options: Mapping[str, str]) -> list[str]:
     """Rows and columns of a table that a study wrote."""
     columns, heads = (_listed(options.get(key, "")) for key in ("columns", "names"))
     frame = _selected(name, columns, options.get("where", ""))
-
-    def rounded(cell: str) -> str:
-        try:
-            return cell if cell.isdigit() else f"{float(cell):.3g}"
-        except ValueError:
-            return cell
-
-    rows = frame.map(rounded).to_numpy()
-    return [*table(heads or frame, rows), "", f"*From results/{name}.csv*"]
+    rows = frame.map(lambda cell: f"{float(cell):.3g}" if DECIMAL.fullmatch(cell) else cell)
+    return [*table(heads or frame, rows.to_numpy()), "", f"*From results/{name}.csv*"]
 
 
 def measured(text: str) -> str:
@@ -146,8 +137,8 @@ def answers(_: str, options: Mapping[str, str]) -> list[str]:
     rows = []
     for path in sorted(RESULTS.glob("*/README.md")):
         _, question, answer, *_ = path.read_text("utf-8").split("\n\n")
-        name = path.parent.name
-        rows.append((f"[`{name}`](studies/{name}.md)", question.strip("*"), answer))
+        link = f"[`{path.parent.name}`](studies/{path.parent.name}.md)"
+        rows.append((link, question.strip("*"), answer))
     return table(("study", "question", "answer"), rows)
 
 
@@ -216,21 +207,15 @@ def write_pages(app: Sphinx) -> None:
         text = re.sub(r"^###", "##", path.read_text("utf-8"), flags=re.MULTILINE)
         text = re.sub(r"!\[([^\]]*)\]\(", rf"![\1](../../results/{name}/", text)
         text = re.sub(r"(?<!!)\[([^\]]*)\]\([\w.-]+\)", r"\1", text)  # files beside it are no pages
-        text = f"{text}\nThe study is `studies/{name}.toml`, its files `results/{name}/`.\n"
-        page = DOCS / "studies" / f"{name}.md"
-        page.parent.mkdir(exist_ok=True)
-        if not page.exists() or page.read_text("utf-8") != text:
-            page.write_text(text, "utf-8")
+        text += f"\nThe study is `studies/{name}.toml`, its files `results/{name}/`.\n"
+        (DOCS / "studies").mkdir(exist_ok=True)
+        (DOCS / "studies" / f"{name}.md").write_text(text, "utf-8")
 
 
-def link_pages(app: Sphinx, name: str, source: list[str]) -> None:
-    """Link to the page of a study in place of its README."""
+def read_page(app: Sphinx, name: str, source: list[str]) -> None:
+    """Link to pages of studies, not their READMEs; import the lazy public names of modules."""
     if "/" not in name:
         source[0] = README.sub(r"](studies/\1.md)", source[0])
-
-
-def load_names(app: Sphinx, name: str, source: list[str]) -> None:
-    """Import the lazily loaded public names of the modules of a page."""
     for module in re.findall(r"automodule:: (\S+)", source[0]):
         room = import_module(module)
         for item in getattr(room, "__all__", ()):
@@ -243,25 +228,22 @@ def a_bar(inliner: Inliner, match: re.Match[str], lineno: int):
     return match.string[:end], [], match.string[end:], []
 
 
-def _math(block: bool):
-    def visit(translator: Any, node: nodes.Element) -> None:
-        formula = latex2mathml.tex2mathml(node.astext(), as_block=block)
-        translator.body.append(f'<div class="math-block">{formula}</div>' if block else formula)
-        raise nodes.SkipNode
-
-    return visit
+def visit_math(translator: Any, node: nodes.Element) -> None:
+    """Write a formula, inline or in a block of its own, as MathML."""
+    block = isinstance(node, nodes.math_block)
+    formula = latex2mathml.tex2mathml(node.astext(), as_block=block)
+    translator.body.append(f'<div class="math-block">{formula}</div>' if block else formula)
+    raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives and a MathML renderer, which needs no script from the web."""
-    for content in (results, study_names, backend_settings, answers, commands):
+    for content in (results, study_keys, study_names, backend_settings, answers, commands):
         app.add_directive(content.__name__.replace("_", "-"), written(content))
-    app.add_directive("study-keys", written(key_table))
     app.add_role("measured", measured_role)
-    app.add_html_math_renderer("mathml", (_math(False), None), (_math(True), None))
+    app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
     app.connect("builder-inited", write_pages)
-    app.connect("source-read", link_pages)
-    app.connect("source-read", load_names)
+    app.connect("source-read", read_page)
     Inliner.dispatch = {**Inliner.dispatch, "|": a_bar}
     # Napoleon would take the words before the first colon of a property for its type.
     GoogleDocstring._parse_attribute_docstring = GoogleDocstring._consume_to_end

@@ -26,7 +26,7 @@ def directives(monkeypatch):
 
 def test_every_key_of_a_study_file_has_words(directives):
     for section in (*directives.RECORDS, *directives.crossing.SECTION_KEYS):
-        rows = directives.key_table(section)
+        rows = directives.study_keys(section)
         assert len(rows) > 2
         assert {len(re.findall(r"(?<!\\)\|", row)) for row in rows} == {3}  # no mark cuts a cell
 
@@ -35,7 +35,7 @@ def test_a_key_without_words_is_refused_by_name(directives, monkeypatch):
     words = directives.meanings("run") | {"tolerance": ""}
     monkeypatch.setattr(directives, "meanings", lambda _: words)
     with pytest.raises(ValueError, match=r"\[run\].*tolerance"):
-        directives.key_table("run")
+        directives.study_keys("run")
 
 
 def test_a_sentence_that_its_table_contradicts_is_refused(directives):
