@@ -245,15 +245,6 @@ def test_two_flows_are_found_with_their_velocities(backend):
         assert getattr(found, name) == getattr(first, name)
 
 
-def test_three_flows():
-    flight_ = through((10.0, 3.0), (6.0, 4.1), (4.0, 6.3), duration=20.0)
-    found = Estimator(backend="group-lasso", readout=SEVERAL).estimate(flight_)
-    scored = score_scales(found, flight_.flow)
-    assert found.status == "ok"
-    assert scored.within(1.0)
-    assert scored.spurious == 0
-
-
 def test_a_back_end_that_proposes_one_gets_one_and_is_told():
     flight_ = through((10.0, 3.1), (8.0, 4.4))
     found = Estimator(backend="best-scale", readout=SEVERAL).estimate(flight_)

@@ -192,13 +192,6 @@ def test_velocity_at_hand_worked_points(place, velocity):
     assert PLAIN.velocity(*place) == pytest.approx(velocity, abs=1e-14)
 
 
-def test_arrays_broadcast():
-    assert PLAIN.velocity(np.zeros(5), np.zeros(5)).shape == (5, 2)
-    assert PLAIN.velocity(np.zeros((3, 1)), np.zeros(4)).shape == (3, 4, 2)
-    assert TWO.velocity(np.zeros((3, 1)), 0.0).shape == (3, 1, 2)
-    assert PLAIN.velocity([1, 2], [3, 4]).dtype == np.float64
-
-
 def test_superposition_is_the_sum_and_a_wind_carries_it():
     x, y = np.array([0.3, 1.7]), np.array([2.2, -0.4])
     expected = PLAIN.velocity(x, y) + CellularFlow(2.0, 1.5).velocity(x, y)

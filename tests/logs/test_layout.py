@@ -359,12 +359,6 @@ def test_a_gliders_recording_is_read_on_a_plane_past_midnight(tmp_path):
     assert read_table(path).notes[0] == "fixes from 2024-06-01 23:59:30 UTC, rounded to 1.9 m"
 
 
-def test_southern_and_western_degrees(tmp_path):
-    text = igc([0.0, 1.0, 2.0], [-33.1, -33.11, -33.12], [-70.1, -70.1, -70.1])
-    flight = sf.read_flight(write(tmp_path, "log.igc", text), vehicle=VEHICLE)
-    np.testing.assert_allclose(np.diff(flight.position[:, 1]), -1109.0, rtol=1e-3)  # north
-
-
 def test_two_recordings_share_a_plane_and_a_clock(tmp_path):
     first = read_table(write(tmp_path, "a.igc", RECORDING))
     late = igc(SECONDS, LATITUDE, LONGITUDE + 0.01, start=datetime(2024, 6, 2, 1, 0, 0))

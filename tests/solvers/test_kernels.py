@@ -327,15 +327,3 @@ def test_every_point_of_a_path_is_optimal(seed, centred, ridge, rows, columns, d
         limit, used = alpha * penalty.weights, values != 0
         assert np.abs(pull - limit * np.sign(values))[used].max(initial=0.0) < 1e-8 * alpha
         assert (np.abs(pull) - limit).max() < 1e-8 * alpha
-
-
-def test_columns_that_are_copies_share_an_optimum():
-    design, target = drawn(8, 60, 40, 0.2)
-    double = Design(sparse.csc_matrix(sparse.hstack([design.source, design.source])), 60)
-    penalty = AbsoluteValues(np.ones(80))
-    cross = double.correlate(target[:, None])[:, 0]
-    alphas = np.abs(cross).max() * np.array([0.3, 0.05])
-    weights, complete, _ = descent_path(double, target, cross, penalty, alphas)
-    assert complete.all()
-    pull = double.correlate(target[:, None] - double.predict(weights[1][:, None]))[:, 0]
-    assert np.abs(pull).max() <= alphas[1] * (1.0 + 1e-9)
