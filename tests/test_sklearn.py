@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 from sklearn import linear_model
-from sklearn.exceptions import ConvergenceWarning, FitFailedWarning
-from sklearn.model_selection import GridSearchCV, GroupKFold, TimeSeriesSplit
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures
 from sklearn.utils.estimator_checks import check_estimator
@@ -129,18 +129,6 @@ def test_a_search_over_a_pipeline_with_blocks_of_time():
     names = best[0].get_feature_names_out()
     assert names[np.argmax(np.abs(best[1].coef_))] == "x0 x1"
     assert best[1].certificate_.kind == "duality_gap"
-
-
-@pytest.mark.filterwarnings("ignore:One or more of the test scores")
-def test_a_failed_fit_of_a_search_has_no_score():
-    design, target = data()
-    search = GridSearchCV(
-        regressors.STLSQ(), {"threshold": [0.05, 9.0]}, cv=GroupKFold(2), refit=True
-    )
-    with pytest.warns(FitFailedWarning, match="empty support"):
-        search.fit(design, target, groups=np.arange(len(design)) // 20)
-    assert search.best_params_ == {"threshold": 0.05}
-    assert np.isnan(search.cv_results_["mean_test_score"]).tolist() == [False, True]
 
 
 def test_without_scikit_learn_the_extra_is_named(monkeypatch):

@@ -313,12 +313,6 @@ def test_bad_usage_is_one_line(capsys, argv):
     assert ('did you mean "estimate"?' in line) == (argv == "estimat")
 
 
-def test_version(capsys):
-    from sparsefit import __version__
-
-    assert run(capsys, "--version")[:2] == (0, f"sparsefit {__version__}\n")
-
-
 def test_help_needs_no_numpy():
     script = (
         "import sys; from sparsefit.cli import parser; parser().format_help(); "

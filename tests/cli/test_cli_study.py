@@ -101,6 +101,17 @@ def test_run_leaves_report_and_prints_the_main_table(capsys, finished):
         assert Path("results/small", name).is_file()
 
 
+def test_run_goes_on_where_it_was_stopped(home):
+    said = json.loads((home / "resumed.json").read_text())
+    found = json.loads(said["out"])
+    assert (found["cases"], found["resumed"]) == (PLANNED, 32)
+    assert found["headline"].startswith("Median |error| of τ_w")
+    manifest = json.loads((home / "results/small/manifest.json").read_text())
+    assert manifest["wall_seconds"] == pytest.approx(found["seconds"], abs=1e-3)
+    assert said["err"].startswith(f"32/{PLANNED} cases, 33 %\n")
+    assert said["err"].endswith(f"{PLANNED}/{PLANNED} cases, 100 %\n")
+
+
 @pytest.mark.parametrize("fresh_run", [False, True])
 def test_ctrl_c_says_how_to_go_on(capsys, half, monkeypatch, fresh_run):
     monkeypatch.setattr(study, "run", Mock(side_effect=KeyboardInterrupt))
