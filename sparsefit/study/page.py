@@ -243,7 +243,7 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
     words = (study.name, study.question, said[0])
     name, question, answer = (text.translate(MARKDOWN) for text in words)
     written = f"{said[1]} Written by `sparsefit study report`; do not edit."
-    parts, shown, texts, linked = [f"# {name}", f"**{question}**", answer, written], [], [], []
+    parts, shown, texts = [f"# {name}", f"**{question}**", answer, written], [], []
     for name, picture in pictures.items():
         caption = picture.caption.translate(MARKDOWN)
         file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
@@ -252,13 +252,12 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
     for name, each in made.items():
         fitting = (each.to_markdown(rows) for rows in (60, 30, 15, 8))
         text = next((text for text in fitting if len(text.split()) <= room), "")
-        if each.varies or not text:
-            linked.append(f"[{name}]({name}.csv)")
-            continue
-        texts.append(text)
-        room -= len(text.split())
+        if text and not each.varies:
+            texts.append(text)
+            room -= len(text.split())
     parts += [*texts, *shown] if "prediction" in made else [*shown, *texts]
-    return joined([*parts, f"More tables: {', '.join(linked)}." if linked else ""])
+    linked = ", ".join(f"[{name}]({name}.csv)" for name in made)
+    return joined([*parts, f"Tables: {linked}." if linked else ""])
 
 
 def write_case(study: Any, case_id: str, file: Path) -> Table:
