@@ -249,7 +249,7 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
         file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
         shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
     room = 700 - sum(len(part.split()) for part in (*parts, *shown))
-    for name, each in made.items():
+    for each in made.values():
         fitting = (each.to_markdown(rows) for rows in (60, 30, 15, 8))
         text = next((text for text in fitting if len(text.split()) <= room), "")
         if text and not each.varies:
