@@ -42,12 +42,16 @@ class Walk:
     def settle(self, limits: Array, ridge: float, in_play: BoolArray) -> tuple[Array, bool]:
         """Solve at limits alpha w (k,) and a ridge: Z'R/m (k,), and whether it is solved."""
         alpha, rough, pull = float(limits.max()), ROUGH, limits
+        if 2 * np.count_nonzero(in_play) > len(in_play):  # sweeps over all cost less than a polish
+            in_play[:] = True
         for _ in range(ROUNDS):
             self._descend(limits, ridge, np.flatnonzero(in_play), rough * alpha)
-            signs_held = self._polish(limits, ridge, alpha)
+            self._polish(limits, ridge, alpha)
             pull = self.design.correlate(self.residual[:, None])[:, 0]
             zero = self.values == 0
-            objecting = zero & (np.abs(pull) > limits * (1.0 + EXACT))
+            rest = np.abs(pull - ridge * self.values - limits * np.sign(self.values))
+            objecting = zero & (rest > limits * (1.0 + EXACT))
+            signs_held = bool(np.all(zero | (rest <= EXACT * alpha)))
             if signs_held and not objecting.any():
                 return pull, True
             if not signs_held or not (objecting & ~in_play).any():
@@ -66,51 +70,51 @@ class Walk:
         if design.direction is not None:
             self.residual -= shift * design.direction
 
-    def _polish(self, limits: Array, ridge: float, alpha: float) -> bool:
-        """Go towards the optimum for the present signs; whether it was reached."""
+    def _polish(self, limits: Array, ridge: float, alpha: float) -> None:
+        """Go towards the optimum for the present signs, and for those that remain of them."""
         samples = float(self.design.samples)
         for _ in range(POLISHES):
             used = np.flatnonzero(self.values)
-            if not len(used):
-                return True
-            part, values = self.design.csc[:, used], self.values[used]  # means are not taken off
-            part.data = part.data * np.repeat(self.scale[used], np.diff(part.indptr))
-            sign = np.sign(values)
-            pull = part.T @ self.residual / samples - ridge * values - limits[used] * sign
-            if np.abs(pull).max() <= EXACT * alpha:
-                return True
-            enough = max(0.1 * EXACT * alpha, INEXACT * float(np.abs(pull).max()))
-            move, moved = self._solved(used, part, pull, ridge, enough)
+            part, values, scale = self.design.csc[:, used], self.values[used], self.scale[used]
+            pull = scale * (part.T @ self.residual) / samples  # R has no part along e
+            pull -= ridge * values + limits[used] * np.sign(values)
+            if np.abs(pull).max(initial=0.0) <= EXACT * alpha:
+                return
+            move, moved = self._solved(used, part, pull, ridge, 0.5 * EXACT * alpha)
             flips = np.flatnonzero(values * (values + move) <= 0)
             share = float((-values[flips] / move[flips]).min(initial=1.0))
-            values = values + share * move
-            if share < 1.0:
-                values[flips[-self.values[used][flips] / move[flips] <= share]] = 0.0
             self.residual -= share * moved
-            self.values[used] = values
-        return False
+            self.values[used] = values + share * move
+            if share == 1.0:
+                return
+            self.values[used[flips[-values[flips] / move[flips] <= share]]] = 0.0
 
     def _solved(
         self, used: IntArray, part: Any, right: Array, ridge: float, stop: float
     ) -> tuple[Array, Array]:
-        """x of (Z_A'Z_A/m + mu I) x = right by conjugate gradients, and Z_A x."""
-        x, image = np.zeros(len(right)), np.zeros(part.shape[0])
-        rest, direction = right.copy(), right.copy()
+        """x of (Z_A'Z_A/m + mu I) x = right by conjugate gradients, and Z_A x.
+
+        They end at an error ``stop``, or INEXACT of the first where x changes signs.
+        """
+        x, image, values = np.zeros(len(right)), np.zeros(part.shape[0]), self.values[used]
+        rest, direction, enough = right.copy(), right.copy(), INEXACT * np.abs(right).max()
         square, across, design = float(rest @ rest), part.T, self.design
-        samples, means = float(design.samples), design.means[used] * self.scale[used]
+        samples, scale, means = float(design.samples), self.scale[used], design.means[used]
         for _ in range(GRADIENTS):
-            if np.abs(rest).max() <= stop:
+            size = np.abs(rest).max()
+            if size <= stop or (size <= enough and np.any(values * (values + x) <= 0)):
                 break
-            seen = part @ direction
+            scaled = scale * direction
+            seen = part @ scaled
             if design.direction is not None:
-                seen -= float(means @ direction) * design.direction
+                seen -= float(means @ scaled) * design.direction
             curvature = float(seen @ seen) / samples + ridge * float(direction @ direction)
             if curvature <= 0.0:
                 break
             length = square / curvature
             x += length * direction
             image += length * seen
-            rest -= length * (across @ seen / samples + ridge * direction)
+            rest -= length * (scale * (across @ seen) / samples + ridge * direction)
             before, square = square, float(rest @ rest)
             direction = rest + (square / before) * direction
             self.steps += 1
