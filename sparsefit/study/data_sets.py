@@ -158,15 +158,14 @@ def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
             head = file.readline(LONGEST_LINE).decode("utf-8-sig")
             between = max(",;\t", key=head.count)
             (names,) = reader([head], delimiter=between)
-            file.seek(0)
             batches = csv.open_csv(
-                file,
+                path,  # read ahead in a thread, in which a file of Python may not outlive its end
                 csv.ReadOptions(block_size=LONGEST_LINE),  # which no line is longer than
                 csv.ParseOptions(delimiter=between),
                 csv.ConvertOptions(column_types=dict.fromkeys(names, real)),
             )
         else:
-            source = parquet.ParquetFile(file)
+            source = parquet.ParquetFile(path)
             names, batches = source.schema_arrow.names, source.iter_batches()
         for batch in batches if order else ():
             count += batch.num_rows * len(names)
