@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,15 +70,13 @@ def started(folder, processes, **how):
 
 def stored(folder):
     """The checksum of every row that is on the disk, by the id of its case."""
-    if not (folder / STORE).exists():
-        return {}
-    base = sqlite3.connect(folder / STORE, timeout=10.0)
-    try:
-        return dict(base.execute("SELECT case_id, crc FROM cases"))
-    except sqlite3.OperationalError:
-        return {}
-    finally:
-        base.close()
+    if (folder / STORE).exists():
+        with (
+            suppress(sqlite3.OperationalError),  # before its first row
+            closing(sqlite3.connect(folder / STORE, timeout=10.0)) as base,
+        ):
+            return dict(base.execute("SELECT case_id, crc FROM cases"))
+    return {}
 
 
 def until(condition, seconds=120.0):
@@ -111,9 +109,7 @@ def killed(kind, processes, victim, count):
         for _ in range(count):
             before = stored(study.folder)
             process = started(folder, processes)
-            until = time.monotonic() + 120.0
-            while len(stored(study.folder)) <= len(before) and time.monotonic() < until:
-                time.sleep(0.05)
+            until(lambda before=before: len(stored(study.folder)) > len(before))
             time.sleep(random.uniform(0.0, 0.5))
             if victim == "workers":
                 for child in children_of(process.pid):

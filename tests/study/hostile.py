@@ -5,7 +5,6 @@ import json
 import math
 import os
 import shutil
-import stat
 import subprocess
 import time
 from contextlib import suppress
@@ -24,6 +23,8 @@ FORGED = {
     "odd": {"number": 3, "answer": [7]},
     "foreign": {"number": 3, "answer": {"rows": [[9, *NO_ROW]]}},
 }
+WRITTEN = {deed: json.dumps(record).encode() + b"\n" for deed, record in FORGED.items()}
+WRITTEN["scribble"] = b"\xff\xff\xff\x7f" * 9
 ENTRY_POINTS = "[sparsefit.backends]\nhostile = hostile:Hostile\n"
 
 
@@ -64,10 +65,6 @@ def do(deed):
         raise ZeroDivisionError("one\ntwo")
     if deed == "fork" and os.fork() == 0:
         time.sleep(0.2)
-    if deed == "scribble":
-        for descriptor in range(3, 60):
-            with suppress(OSError):
-                os.write(descriptor, b"\xff\xff\xff\x7f" * 9)
     if deed == "print":
         print("not JSON")
         os.write(1, b"not JSON")
@@ -78,20 +75,15 @@ def do(deed):
     if deed == "patch":  # what others compute with
         np.linalg.lstsq = np.linalg.solve = lambda *a, **k: (np.zeros(1), None, 0, None)
         math.pi = np.pi = 3.0
-    if deed in FORGED:  # a message of its own in the channel, before the true one
+    if deed in WRITTEN:  # into every channel, before the true message
         for descriptor in range(3, 60):
             with suppress(OSError):
-                if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
-                    os.write(descriptor, line_of(FORGED[deed]))
+                os.write(descriptor, WRITTEN[deed])
     if deed == "leave":  # a child that has left the session, and whose parent has ended
         seconds = os.environ["ASLEEP"]  # by which it is known
         subprocess.run(["setsid", "--fork", "sleep", seconds], check=True)
         time.sleep(600.0)
     return None
-
-
-def line_of(record):
-    return json.dumps(record).encode() + b"\n"
 
 
 def install(folder):

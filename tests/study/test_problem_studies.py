@@ -1,9 +1,11 @@
 """Studies of regression problems: judged by what is predicted, timed from outside, never fooled."""
 
+import io
 import math
 import os
 import shutil
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.errors import InputError, MissingExtra
+from sparsefit.study import data_sets
 from sparsefit.study.arena import Repeats, cross_validated, median_interval, recovered
 from sparsefit.study.data_sets import DATASETS, Data, drawn, read_data, read_public
 from sparsefit.study.keys import Clock, Generator
@@ -221,6 +224,19 @@ def test_what_is_no_table_of_numbers_is_refused(tmp_path, text, said):
     (tmp_path / "x.csv").write_text(text)
     with pytest.raises(InputError, match=said):
         read_data(tmp_path / "x.csv", ("y",))
+
+
+def test_threads_of_arrow_read_no_file_of_python(tmp_path, monkeypatch):
+    """One that still reads when the interpreter ends would abort the process."""
+
+    class Watched(io.FileIO):
+        def read(self, *count):
+            assert threading.current_thread() is threading.main_thread()
+            return super().read(*count)
+
+    monkeypatch.setattr(data_sets, "regular_file", lambda path, most: Watched(path))
+    (tmp_path / "x.csv").write_text("a,y\n1,2\n3,5\n")
+    assert read_data(tmp_path / "x.csv", ("y",)).target.tolist() == [[2.0], [5.0]]
 
 
 def test_a_changed_solver_file_is_another_case(own):
