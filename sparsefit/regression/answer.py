@@ -3,11 +3,12 @@
 import html
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from sparsefit.arrays import Array, Brief, IntArray
+from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, is_real
 from sparsefit.regression.backend import Backend, PenalisedBackend
 from sparsefit.regression.certificate import Certificate
@@ -120,14 +121,21 @@ class Fit(Brief):
 class Path(Brief):
     """Fits along a path of penalties, in the requested order: alpha = alpha_fraction * alpha_max.
 
-    alpha_fractions: (p,). alpha_max: the smallest alpha whose solution is zero, in the unit of the
-    target (columns have unit rms). fits: p of them. seconds: wall time, with the certificates.
+    alpha_fractions: (p,). fits: p of them. seconds: wall time, with the certificates.
     """
 
     alpha_fractions: Array
-    alpha_max: float
     fits: tuple[Fit, ...]
     seconds: float
+
+    @cached_property
+    def alpha_max(self) -> float:
+        """The smallest alpha whose solution is zero, in the unit of the target.
+
+        It is that of columns of unit rms.
+        """
+        backend, problem = self.fits[0].backend, self.fits[0].problem
+        return problem.alpha_max(cast(PenalisedBackend, backend).penalty(problem))
 
     @property
     def alphas(self) -> Array:

@@ -130,7 +130,8 @@ class DualPoint:
         """D (p,) as computed, and a lower bound of it."""
         square, product, wider = self.square, self.product, self.correlation_error
         loose, off = self.square_error, self.product_error
-        peaks, raised = (penalty.constraint(self.correlation, by) for by in (0.0, wider))
+        peaks = penalty.constraint(self.correlation)
+        raised = penalty.raised(self.correlation, peaks, wider)
         if penalty.coupled:
             parts = (part.sum(axis=1, keepdims=True) for part in (square, product, loose, off))
             square, product, loose, off = parts
@@ -173,8 +174,10 @@ def duality_gaps(
     step, certificates = max(2**22 // size, 1), list[Certificate]()
     for start in range(0, len(weights), step):
         part = slice(start, start + step)
-        scaled = weights[part] * design.rms[:, None]
-        certificates += _gaps(design, target, scaled, alphas[part], penalty)
+        # Columns are the last axis in memory: numpy is slow where that has few entries.
+        scaled = np.array(weights[part].transpose(0, 2, 1), order="C")
+        scaled *= design.rms
+        certificates += _gaps(design, target, scaled.transpose(0, 2, 1), alphas[part], penalty)
     return tuple(certificates)
 
 
@@ -185,12 +188,10 @@ def _gaps(
     (count, k, n), loss = scaled.shape, penalty.loss
     data, target = target, loss.centred(target)
     level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
-    used = np.flatnonzero(np.any(scaled.any(axis=0), axis=1))
-    gamma = rounding_of(design.terms + 2 * len(used) * n + 20)
-    values, part = np.zeros((k, count * n)), scaled[:, used]
-    values[used] = part.transpose(1, 0, 2).reshape(len(used), count * n)
-    rest = np.tile(target, (1, count)) - design.predict(values)
-    size, unit = np.abs(part).sum(axis=1), design.spread * rounding_of(len(used) + 8)
+    used = int(np.any(scaled.any(axis=0), axis=1).sum())
+    gamma = rounding_of(design.terms + 2 * used * n + 20)
+    rest = np.tile(target, (1, count)) - design.predict(scaled.transpose(1, 0, 2).reshape(k, -1))
+    size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
     rho, pull, linear = unit * (level + size), rest, np.zeros(count)
     if np.isfinite(loss.clip):
         rest, pull, rho, linear = _clipped(design, data, loss, rest, size, unit)

@@ -7,6 +7,7 @@ another package is trusted, but what it returns is validated.
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Any, get_args
 
@@ -29,7 +30,16 @@ from sparsefit.regression.certificate import Certificate, duality_gaps
 from sparsefit.regression.penalty_choice import FRACTIONS, choose_penalty
 from sparsefit.regression.problem import RegressionProblem
 
-__all__ = ["TOLERANCE", "Fit", "Path", "certificate_of", "fit", "path"]
+__all__ = [
+    "TOLERANCE",
+    "Fit",
+    "Path",
+    "certificates_of",
+    "fit",
+    "path",
+    "points_of",
+    "solutions_of",
+]
 
 TOLERANCE = 1e-8
 
@@ -69,40 +79,44 @@ def path(
     return _along(problem, backend, given.astype(float), tolerance)
 
 
+def points_of(backend: Any, fractions: Sequence[float]) -> list[Any]:
+    """The back-end at each penalty fraction; itself where there are none."""
+    return [dataclasses.replace(backend, alpha_fraction=each) for each in fractions] or [backend]
+
+
+def solutions_of(
+    problem: RegressionProblem, backend: Any, fractions: Sequence[float]
+) -> list[Solution]:
+    """The answers of a back-end at penalty fractions, strongest first, as they are returned.
+
+    Without fractions: its one answer by its own settings.
+    """
+    if fractions and isinstance(backend, PathBackend):
+        return list(backend.solve_path(problem, tuple(fractions)))
+    return [point.solve(problem) for point in points_of(backend, fractions)]
+
+
 def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: float) -> Path:
     """The fits at penalty fractions (p,), strongest first; a single fit where p is 0."""
     order = np.argsort(-wanted, kind="stable")
-    fractions = tuple(wanted[order].tolist())
-    points = [dataclasses.replace(backend, alpha_fraction=each) for each in fractions] or [backend]
+    fractions = wanted[order].tolist()
     start = perf_counter()
     with quiet():
-        if fractions and isinstance(backend, PathBackend):
-            raw = list(backend.solve_path(problem, fractions))
-        else:
-            raw = [point.solve(problem) for point in points]
+        raw = solutions_of(problem, backend, fractions)
+    points = points_of(backend, fractions)
     seconds = (perf_counter() - start) / len(points)
     if len(raw) != len(points):
         words = f"{len(raw)} solutions for a path of {len(points)} penalties"
         raise InputError(f"back-end {backend.name!r} returned {words}")
     solutions = [_received(solution, backend, problem) for solution in raw]
     problem.refuse_changes()
-    penalty = backend.penalty(problem) if fractions else None
-    unit = problem.alpha_max(penalty) if penalty else math.nan
-    pairs, certificates = list(zip(points, solutions, strict=True)), list[Certificate | None]()
-    if penalty and backend.certificate_kind == "duality_gap":
-        usable = [each.weights for each in solutions if each.weights is not None]
-        alphas = unit * np.array(fractions)[[each.weights is not None for each in solutions]]
-        solved = np.array(usable)
-        gaps = iter(duality_gaps(problem.design, problem.target, solved, alphas, penalty))
-        certificates = [None if each.weights is None else next(gaps) for each in solutions]
-    else:
-        certificates = [certificate_of(problem, *pair) for pair in pairs]
+    certificates = certificates_of(problem, points, [each.weights for each in solutions])
     fits = [
-        _judged(problem, *pair, certificate, seconds, tolerance)
-        for pair, certificate in zip(pairs, certificates, strict=True)
+        _judged(problem, *parts, seconds, tolerance)
+        for parts in zip(points, solutions, certificates, strict=True)
     ]
     in_turn = tuple(fits[place] for place in np.argsort(order).tolist()) or tuple(fits)
-    return Path(wanted, unit, in_turn, perf_counter() - start)
+    return Path(wanted, in_turn, perf_counter() - start)
 
 
 def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> Solution:
@@ -127,30 +141,45 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
     return dataclasses.replace(solution, weights=weights if usable else None)
 
 
-def certificate_of(
-    problem: RegressionProblem, backend: Any, solution: Solution
-) -> Certificate | None:
-    """The certificate of a back-end without a convex penalty; None without finite weights.
+def certificates_of(
+    problem: RegressionProblem, points: Sequence[Any], weights: Sequence[Array | None]
+) -> list[Certificate | None]:
+    """The certificates of weights (k, n), one at each point; None of weights that are not finite.
 
-    Of a fixed point: the change of support and of fitted values by one more iteration.
+    points: a back-end at p penalties, strongest first, or alone.
     """
-    weights = solution.weights
-    if weights is None or not np.isfinite(weights).all():
-        return None
-    size = float(np.linalg.norm(problem.target))
-    if backend.certificate_kind == "normal_equations":
-        residual, spectrum = problem.target - problem.rows @ weights, problem.spectrum
-        retained = spectrum.right_vectors[spectrum.retained(backend.rcond, problem.samples)]
-        gradient = np.abs(retained @ (problem.rows.T @ residual))
-        scale = float(spectrum.singular_values[0]) * size
-        return Certificate("normal_equations", float(gradient.max(initial=0.0)) / (scale or 1.0))
+    solved = {i: w for i, w in enumerate(weights) if w is not None and np.isfinite(w).all()}
+    kind, certificates = points[0].certificate_kind, dict[int, Certificate]()
+    if kind == "duality_gap" and solved:
+        penalty = points[0].penalty(problem)
+        alphas = problem.alpha_max(penalty) * np.array([points[i].alpha_fraction for i in solved])
+        values = np.array(list(solved.values()))
+        gaps = duality_gaps(problem.design, problem.target, values, alphas, penalty)
+        certificates = dict(zip(solved, gaps, strict=True))
+    elif kind != "duality_gap":
+        proof = _normal_equations if kind == "normal_equations" else _fixed_point
+        certificates = {i: proof(problem, points[i], solved[i]) for i in solved}
+    return [certificates.get(i) for i in range(len(points))]
+
+
+def _normal_equations(problem: RegressionProblem, backend: Any, weights: Array) -> Certificate:
+    """The certificate of least squares on the singular vectors that ``rcond`` retains."""
+    residual, spectrum = problem.target - problem.rows @ weights, problem.spectrum
+    retained = spectrum.right_vectors[spectrum.retained(backend.rcond, problem.samples)]
+    gradient = np.abs(retained @ (problem.rows.T @ residual))
+    scale = float(spectrum.singular_values[0]) * float(np.linalg.norm(problem.target))
+    return Certificate("normal_equations", float(gradient.max(initial=0.0)) / (scale or 1.0))
+
+
+def _fixed_point(problem: RegressionProblem, backend: Any, weights: Array) -> Certificate:
+    """The change of support and of fitted values by one more iteration."""
     with np.errstate(all="ignore"):  # weights of any size: what overflows is no fixed point
         following = np.asarray(backend.next_weights(problem, weights.copy()), dtype=float)
         if following.shape != weights.shape:
             words = f"next_weights gives weights of shape {following.shape}, not {weights.shape}"
             raise InputError(f"back-end {backend.name!r}: {words}")
         moved = problem.design.raw_predict(following - weights)
-        share = float(np.linalg.norm(moved)) / (size or 1.0)
+        share = float(np.linalg.norm(moved)) / (float(np.linalg.norm(problem.target)) or 1.0)
     changed = int(np.sum((following != 0) != (weights != 0)))
     changed_share = changed / max(int(np.count_nonzero(weights)), 1)
     return Certificate("fixed_point", changed_share if changed_share > share else share)

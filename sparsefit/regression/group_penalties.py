@@ -8,6 +8,7 @@ rules for sparse-group Lasso" (NeurIPS 2016), for the dual norm.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any, Self
 
 import numpy as np
@@ -45,9 +46,10 @@ class GroupNorms(Penalty):
 
     def block_norms(self, values: Array) -> Array:
         """Norms |V_g| of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
-        peak = float(np.abs(values).max(initial=0.0)) or 1.0  # squares of 1e-200 would vanish
-        square = folded(np.add, (values / peak) ** 2, *self._layout, self.together)
-        return np.asarray(peak * np.sqrt(square))
+        peak = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0))) or 1.0
+        square = values / peak  # as squares of 1e-200 would vanish
+        square *= square
+        return np.asarray(peak * np.sqrt(folded(np.add, square, *self._layout, self.together)))
 
     def norm(self, values: Array) -> Array:
         total: Array = (self.block_norms(values) * self.weights[:, None]).sum(axis=(-2, -1))
@@ -189,8 +191,9 @@ def folded(
     """Sums or maxima over blocks of values (..., k, n): (..., g, n), or (..., g, 1) when joint."""
     if order is not None:
         values = values[..., order, :]
-    blocks = fold.reduceat(values, starts, axis=-2)
-    return np.asarray(fold.reduce(blocks, axis=-1, keepdims=True) if joint else blocks)
+    if joint:  # slice by slice, as numpy is slow along an axis of few entries
+        values = reduce(fold, np.moveaxis(values, -1, 0))[..., None]
+    return np.asarray(fold.reduceat(values, starts, axis=-2))
 
 
 def _inverse(values: Array) -> Array:

@@ -104,17 +104,19 @@ class Penalty(ABC):
         """Whether the conjugate is finite, as weights have bounds."""
         return type(self).conjugate is not Penalty.conjugate
 
-    def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
+    def constraint(self, values: Array) -> Array:
         """The gauge (..., n) that a feasible dual point bounds by alpha: the dual norm.
 
-        0 where the conjugate is finite. error (..., n): a bound of the error of each entry.
+        0 where the conjugate is finite.
         """
         if self.is_bounded:
             return np.zeros((*values.shape[:-2], values.shape[-1]))
-        peaks = self.dual_norm(values)
-        if isinstance(error, float):
-            return peaks
-        return peaks + error * self.dual_norm(np.ones(values.shape[-2:]))
+        return self.dual_norm(values)
+
+    def raised(self, values: Array, peaks: Array, error: Array) -> Array:
+        """A bound of the gauge where each entry has an error of up to (..., n); peaks: without."""
+        unit = self.constraint(np.ones(values.shape[-2:]))
+        return peaks + error * np.maximum(unit, self.constraint(-np.ones(values.shape[-2:])))
 
     @property
     def units(self) -> IntArray:
@@ -221,10 +223,13 @@ class BoundedValues(AbsoluteValues):
         edges = np.concatenate([self.lower, self.upper])
         return bool(np.any(np.isfinite(edges) & (edges != 0)))
 
-    def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
-        free = (np.isinf(self.upper), np.isinf(self.lower))
-        peaks: Array = self._pull(values, np.atleast_1d(error)[..., None, :], *free).max(axis=-2)
-        return peaks
+    def constraint(self, values: Array) -> Array:
+        return self.raised(values, values, np.zeros(values.shape[-1]))
+
+    def raised(self, values: Array, peaks: Array, error: Array) -> Array:
+        free = np.isinf(self.upper), np.isinf(self.lower)
+        pull: Array = self._pull(values, error[..., None, :], *free).max(axis=-2)
+        return pull
 
     def _pull(self, values: Array, error: Array | float, up: BoolArray, down: BoolArray) -> Array:
         """(C_jt + error) / omega_j up and down, where each (k,) is allowed; 0 elsewhere."""
@@ -286,7 +291,7 @@ class SquaredNorm(Penalty):
     def dual_norm(self, values: Array) -> Array:
         return np.full((*values.shape[:-2], 1), float(self.count))
 
-    def constraint(self, values: Array, error: Array | float = 0.0) -> Array:
+    def constraint(self, values: Array) -> Array:
         return np.zeros((*values.shape[:-2], 1))
 
     def prox(self, values: Array, step: float) -> Array:

@@ -31,7 +31,7 @@ from sparsefit.study.columns import MAX_REASON, Outcome, Value
 from sparsefit.study.contenders import ACCURACIES, FOLDS, IN_USE, ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.keys import Clock
-from sparsefit.study.problem_desk import Contender, own_fraction, small_problem, write_data
+from sparsefit.study.problem_desk import Contender, fractions_of, small_problem, write_data
 from sparsefit.study.worker import Answer, Crew, NoAnswerError, Worker, disturbed
 
 JUDGE = "judge"
@@ -166,7 +166,7 @@ class Arena:
         case = Case(cell, self.design.contenders[cell])
         if not case.contender.missing:
             backend = case.contender.settled
-            case.points = len(self.design.fractions) or 1 if own_fraction(backend) else 1
+            case.points = len(fractions_of(backend, self.design.fractions)) or 1
         return case
 
     def _begin(self, case: Case, cases: Sequence[Case]) -> None:

@@ -36,9 +36,8 @@ from sparsefit import path as certified_path
 from sparsefit.arrays import Array
 from sparsefit.backends import Solution
 from sparsefit.errors import one_line
-from sparsefit.regression.backend import PathBackend, PenalisedBackend, numeric_fraction
-from sparsefit.regression.certificate import duality_gaps
-from sparsefit.regression.fit import certificate_of
+from sparsefit.regression.backend import PenalisedBackend, numeric_fraction
+from sparsefit.regression.fit import certificates_of, points_of, solutions_of
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import LateError, Recipe, answers
 from sparsefit.study.data_sets import Data
@@ -182,29 +181,22 @@ def solve(
     """The contender's answers, one per penalty; certified only where that is in its time."""
     backend = contender.settled
     stop = None if math.isnan(contender.tolerance) else contender.tolerance
-    requested = tuple(fractions)
     if contender.certified:
         data = (problem.theta, problem.target, problem.groups)
-        fits = certified_path(RegressionProblem.from_arrays(*data), backend, requested).fits
+        fits = certified_path(RegressionProblem.from_arrays(*data), backend, fractions).fits
         return [Solution(fit.weights, solver_status=fit.status) for fit in fits]
-    if not isinstance(backend, PenalisedBackend):
-        return [backend.solve(problem)]
-    requested = requested or own_fraction(backend)
-    if contender.recipe is not None:
+    requested = fractions_of(backend, fractions)
+    if contender.recipe is not None and isinstance(backend, PenalisedBackend):
         penalty = backend.penalty(problem)
         return answers(contender.recipe.make(), problem, penalty, requested, stop)
-    if isinstance(backend, PathBackend):
-        return backend.solve_path(problem, requested)
-    penalised: Any = backend
-    points = [dataclasses.replace(penalised, alpha_fraction=fraction) for fraction in requested]
-    return [point.solve(problem) for point in points]
+    return solutions_of(problem, backend, requested)
 
 
-def own_fraction(backend: Any) -> tuple[float, ...]:
-    """The penalty fraction of a back-end's own settings; none where it has no penalty."""
-    if isinstance(backend, PenalisedBackend):
-        return (numeric_fraction(backend.name, backend.alpha_fraction),)
-    return ()
+def fractions_of(backend: Any, requested: Sequence[float]) -> tuple[float, ...]:
+    """The penalty fractions requested of a back-end, or its own; none where it has no penalty."""
+    if not isinstance(backend, PenalisedBackend):
+        return ()
+    return tuple(requested) or (numeric_fraction(backend.name, backend.alpha_fraction),)
 
 
 def small_problem() -> RegressionProblem:
@@ -296,25 +288,20 @@ class JudgeDesk:
             self._file, self._problem, self._bounds = file, problem_of(read_rows(file)), {}
         problem, solved = self._problem, self._contenders[contender]
         answers, backend = np.load(weights, allow_pickle=False), solved.settled
-        kind = str(backend.certificate_kind)
-        if kind != "duality_gap" or not isinstance(backend, PenalisedBackend):
-            certificates = [certificate_of(problem, backend, Solution(each)) for each in answers]
-            values = [math.nan if c is None else c.value for c in certificates]
-            worst = max(math.inf if math.isnan(value) else value for value in values)
+        kind, fractions = str(backend.certificate_kind), fractions_of(backend, self._fractions)
+        proofs = certificates_of(problem, points_of(backend, fractions), answers)
+        worst = max(c.value if c and c.value == c.value else math.inf for c in proofs)
+        if kind != "duality_gap" or None in proofs:
             return {"kind": kind, "gap": worst, "excess": worst}
-        fractions = self._fractions or own_fraction(backend)
-        penalty = backend.penalty(problem)
-        alphas = problem.alpha_max(penalty) * np.array(fractions)
-        gaps = duality_gaps(problem.design, problem.target, answers, alphas, penalty)
         if solved.problem_of not in self._bounds:  # D_ref (p,) of the exact path, -inf of none
             exact = isinstance(backend, PenalisedPath)
             fits = certified_path(problem, backend, fractions).fits if exact else ()
             lower = [f.certificate.dual if f.certificate else -math.inf for f in fits]
             self._bounds[solved.problem_of] = np.array(lower or [-math.inf] * len(fractions))
-        bounds = np.maximum([c.dual for c in gaps], self._bounds[solved.problem_of])
-        excess = np.maximum(np.array([c.primal for c in gaps]) - bounds, 0.0).max()
+        primal, dual = np.array([(c.primal, c.dual) for c in proofs if c]).T
+        excess = np.maximum(primal - np.maximum(dual, self._bounds[solved.problem_of]), 0.0).max()
         null = problem.null_objective or 1.0
-        return {"kind": kind, "gap": max(c.value for c in gaps), "excess": float(excess) / null}
+        return {"kind": kind, "gap": worst, "excess": float(excess) / null}
 
 
 def _peak_from_here() -> float | None:
