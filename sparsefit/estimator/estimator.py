@@ -134,7 +134,7 @@ class Estimator:
         """Fields of the estimate from the modes on the grid, and what speaks against them."""
         from sparsefit.model import read_grid
 
-        settings = (self.library, self.readout, prepared.weights)
+        settings = (self.library, self.readout, prepared.weights, prepared.once)
         read, flow = read_grid(fit, prepared.parts, prepared.vehicles, *settings)
         scales = []
         for own in read:
@@ -161,7 +161,10 @@ class Estimator:
         from sparsefit.model import propose
 
         several, precision = self.readout.scales == "several", self.readout.precision
-        parts, early = dict[str, Any](), next(doubts_of_logs(prepared, self.free), None)
+        parts = dict[str, Any]()
+        early = prepared.once(
+            ("logs", self.free), lambda: next(doubts_of_logs(prepared, self.free), None)
+        )
         if early is not None and early.doubt is not Doubt.STILL_AIR:
             return parts, early
         search = prepared.search  # which refuses flights that do not move

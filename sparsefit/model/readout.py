@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -181,11 +181,13 @@ def read_grid(
     library: Library,
     readout: Readout,
     weights: Sequence[float] = (1.0,),
+    once: Callable[[object, Callable[[], Any]], Any] = lambda _, work: work(),
 ) -> tuple[tuple[WaveCells, ...], CandidateFlow | WaveFlow | None]:
     """The cells chosen on the grid by a fit's weights, fastest first, and the flow of the weights.
 
     The cells are fitted jointly to the rows of the regression, each flight's times its weight. The
-    flow is None if the target is not the flow velocity.
+    flow is None if the target is not the flow velocity. Fits of the same flights share what `once`,
+    called with a key and the work, has computed before.
 
     Raises:
         InputError: if the flight does not move.
@@ -228,16 +230,20 @@ def read_grid(
     else:
         by_scale = readout.by_scale(fit, library)
         k = np.array([math.pi / max(by_scale, key=lambda scale: by_scale[scale])])
-    if readout.mean_velocity == "paper":
+
+    def speeds_of_cells() -> tuple[Array, Array]:
+        """Mean velocities (s,) [m/s] of the cells at the wavenumbers, and weights by their rms."""
+        if readout.mean_velocity == "rms":
+            own = cells_at(k)
+            return rms_mean_velocity(own), own
         pairs = list(zip(flights, vehicles, strict=True))
         phi = np.concatenate([samples.flow_velocity(vehicle) for samples, vehicle in pairs])
         target = np.concatenate([library.response(*pair)[:, -2:] for pair in pairs])
         columns = candidate_columns(position, np.pi / k)
         field = columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
-        speeds = np.array([paper_mean_velocity(field, phi, readout.eq24)])
-    else:
-        own = cells_at(k)
-        speeds = rms_mean_velocity(own)
+        return np.array([paper_mean_velocity(field, phi, readout.eq24)]), np.zeros(0)
+
+    speeds, own = once((readout, *k.tolist()), speeds_of_cells)
     order = np.argsort(-speeds)
     cells = tuple(WaveCells(float(speeds[i]), math.pi / float(k[i])) for i in order)
     if several:

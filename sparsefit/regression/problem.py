@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -316,12 +316,16 @@ def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
 
     QR, not Z'Z: the certificate takes residuals of these rows, of which Z'Z loses half the digits.
     """
-    triangle, columns = np.zeros((0, 0)), 0
+    from scipy.linalg.lapack import dgeqrf  # in place, in two thirds of the time of numpy's
+
+    lower, columns = np.zeros((0, 0)), 0  # R', whose rows lie in a piece
     for theta, target in blocks:
-        rows, columns = np.hstack([theta, target]), theta.shape[1]
-        stacked = np.vstack([triangle, rows]) if triangle.size else rows
-        triangle = cast(Array, np.linalg.qr(stacked, mode="r"))
-    return triangle[:, :columns].copy(), triangle[:, columns:].copy()
+        across, columns = np.concatenate([theta.T, target.T]), theta.shape[1]
+        if lower.size:
+            across = np.concatenate([lower, across], axis=1)
+        size = len(across)
+        lower = np.tril(dgeqrf(across.T, lwork=32 * size, overwrite_a=1)[0][:size].T)
+    return lower[:columns].T, lower[columns:].T
 
 
 def _source(theta: Any) -> Any:

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeAlias
 
 Value: TypeAlias = str | float | int | bool
@@ -52,13 +53,20 @@ class Column:
     kind: Kind
     path: str = ""
 
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The names on the path."""
+        return tuple(self.path.split("."))
+
     def read(self, case: object) -> Value | None:
         """The value of a case; None where there is nothing on the way."""
         value: Any = case
-        for name in self.path.split("."):
+        for name in self.names:
+            if value is None:
+                return None
             if isinstance(value, dict):
                 value = value.get(name)
-            elif value is not None:
+            else:
                 value = value[int(name)] if name.isdigit() else getattr(value, name)
         return None if value is None or value == "" else self.kind.cast(value)
 
