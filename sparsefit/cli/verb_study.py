@@ -217,7 +217,8 @@ def report(args: argparse.Namespace) -> Reply:
     study, state = stored(args, whole=True)
     _warn(state.stale, STALE)
     written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
-    return Reply({"headline": headline, "written": written, "report": written[-1]})
+    said = {"headline": headline, "files": len(written), "report": written[-1]}
+    return Reply({**said, "written": written}, terminal.rows(terminal.entries(said)))
 
 
 def compare(args: argparse.Namespace) -> Reply:

@@ -15,7 +15,7 @@ from sparsefit.codec import finite_or_none
 from sparsefit.plot.style import GREY, logarithmic, styled, wrapped
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import factors
-from sparsefit.study.page import Code, drawing, files_of, joined, to_html
+from sparsefit.study.page import Code, drawing, files_of, joined, linked, to_html
 from sparsefit.study.panels import Curve, Panel, drawn
 from sparsefit.study.selection import Check, Selection, headline, lines, verdict
 from sparsefit.study.table import Column, Row, Table
@@ -61,7 +61,9 @@ def tables(selection: Selection) -> dict[str, Table]:
     heads = [*map(Column, ("candidate", "verdict")), *scores(*criterion.regimes, "all")]
     made = {
         "selection": ranking,
-        "regimes": Table(f"Regimes ({study})", tuple(heads), by_regime),
+        "regimes": Table(
+            f"Regimes ({study})", tuple(heads), by_regime * (len(criterion.regimes) > 1)
+        ),
         "latency": _latencies(selection, ranked),
     }
     return {name: each for name, each in made.items() if each.rows}
@@ -95,7 +97,8 @@ def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
     of |= {"unit": selection.criterion.measure.unit, "summary": headline(selection)}
     of |= {"candidates": len(selection.ranked), "eligible": len(selection.passing)}
     of |= {"tied": [each.title for each in selection.tied]}
-    of |= {"table": made["selection"].record(), "regimes": made["regimes"].record()}
+    of |= {"table": made["selection"].record()}
+    of |= {"regimes": made["regimes"].record() if "regimes" in made else None}
     if chosen is not None:
         row = cases[cases["candidate"] == chosen.candidate].iloc[0]
         own = [name for name in factors(cases) if not name.startswith("flights.")]
@@ -173,20 +176,18 @@ def write_selection(
     answer, title = headline(selection), f"{study.name}: the selection"
     files = files_of(study.name, made, {"pareto": picture})
     shown = drawing("pareto", picture, files.get("pareto.svg", b""))
-    rule = json.dumps(asdict(selection.rule), indent=1)
     sections: dict[str, Sequence[Any]] = {
-        "Why": [said],
+        "Why": [said, Code("The rule", json.dumps(asdict(selection.rule), indent=1))],
         "Candidates": [made["selection"]],
         "Accuracy and latency": [shown, made["latency"]] if "latency" in made else [],
-        "Regimes": [made["regimes"], Code("The rule", rule)],
+        "Regimes": [made["regimes"]] if "regimes" in made else [],
     }
     text = [
         f"# {title}\n\n**{study.question}**\n\n**{answer}**",
         "\n".join(f"- {line}" for line in said),
         "![accuracy and latency](pareto.svg)" if picture.figure is not None else "",
-        made["selection"].to_markdown(12),
-        "Tables: [selection.csv](selection.csv), [regimes.csv](regimes.csv). Written by "
-        "`sparsefit select`; do not edit.",
+        made["selection"].to_markdown(12, "selection.csv"),
+        f"{linked(made)} Written by `sparsefit select`; do not edit.",
     ]
     page = to_html(title, study.question, answer, sections).encode()
     files |= {"evidence.html": page, "evidence.md": joined(text)}

@@ -151,10 +151,10 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
                 if sizes.size > 200:  # enough for a figure
                     seen = np.linspace(0, sizes.size - 1, 200).astype(int)
                     sizes, share = sizes[seen], share[seen]
-                if sizes.size:
-                    start, end = min(ends[0], float(sizes[0])), max(ends[1], float(sizes[-1]))
+                if finite.size:  # a line at 0 of a candidate without any answer
+                    start, end = min([ends[0], *sizes[:1]]), max([ends[1], *sizes[-1:]])
                     x = np.maximum([start, *sizes, end], least)
-                    curves.append(Curve(name, x, np.array([0.0, *share, share[-1]])))
+                    curves.append(Curve(name, x, np.array([0.0, *share, share.max(initial=0.0)])))
             beside = f"{wrapped(level, 26)}\n\nshare of {kind} [%]".strip()
             grid[-1].append(Panel(
                 curves, with_unit(each.words, each.unit), beside, title,

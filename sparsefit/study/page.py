@@ -13,7 +13,7 @@ import math
 import re
 import textwrap
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
@@ -82,8 +82,11 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
     if figure is None or not (svg := svg or encoded(figure, ".svg", name)):
         return picture.caption
 
-    def inline(vector: bytes) -> str:
-        return re.sub(r"^.*?(?=<svg)", "", vector.decode(), count=1, flags=re.DOTALL)
+    def inline(vector: bytes) -> str:  # a figure of 7 in is 62 rem wide
+        svg = re.sub(r"^.*?(?=<svg)", "", vector.decode(), count=1, flags=re.DOTALL)
+        return svg.replace(
+            "<svg ", f'<svg style="width: {62 / 7 * figure.get_figwidth():g}rem" ', 1
+        )
 
     lines: dict[str, str] = {}
     for axes in figure.axes:
@@ -203,6 +206,12 @@ def joined(parts: Sequence[str]) -> bytes:
     return ("\n\n".join(part.strip() for part in parts if part) + "\n").encode()
 
 
+def linked(names: Iterable[str]) -> str:
+    """Return links in Markdown to the CSV files of tables; empty without tables."""
+    links = ", ".join(f"[{name}]({name}.csv)" for name in names)
+    return f"Tables: {links}." if links else ""
+
+
 def write(study: Any) -> list[Path]:
     """Write NAME.csv, NAME.tex and NAME.svg, .png of all outputs, report.html and README.md.
 
@@ -249,15 +258,14 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
         file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
         shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
     room = 700 - sum(len(part.split()) for part in (*parts, *shown))
-    for each in made.values():
-        fitting = (each.to_markdown(rows) for rows in (60, 30, 15, 8))
+    for name, each in made.items():
+        fitting = (each.to_markdown(rows, f"{name}.csv") for rows in (60, 30, 15, 8))
         text = next((text for text in fitting if len(text.split()) <= room), "")
         if text and not each.varies:
             texts.append(text)
             room -= len(text.split())
     parts += [*texts, *shown] if "prediction" in made else [*shown, *texts]
-    linked = ", ".join(f"[{name}]({name}.csv)" for name in made)
-    return joined([*parts, f"Tables: {linked}." if linked else ""])
+    return joined([*parts, linked(made)])
 
 
 def write_case(study: Any, case_id: str, file: Path) -> Table:

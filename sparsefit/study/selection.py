@@ -193,13 +193,15 @@ def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
     for name in own:
         for parts, level in zip(words, rows[name], strict=True):
             parts.append(f"{factor_words(name)} none" if level == "none" else str(level))
-    ends = zip(rows["title"], rows["reading"], strict=True)
-    title_ends = [title.removeprefix(f"{reading}: ") for title, reading in ends]
+    backends = [  # of `reading: back-end with levels`
+        title.removeprefix(f"{reading}: ").partition(" with ")[0]
+        for title, reading in zip(rows["title"], rows["reading"], strict=True)
+    ]
     frame = rows[["candidate", "title", "backend"]].assign(
         reading=[", ".join(filter(None, parts)) for parts in words], label=labels
     )
     alike = frame.duplicated(["reading", "label"], keep=False)
-    return frame.assign(label=frame["label"].mask(alike, title_ends))
+    return frame.assign(label=frame["label"].mask(alike, backends))
 
 
 def check_rule(study: Any) -> None:

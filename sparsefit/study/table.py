@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -174,10 +174,11 @@ class Table:
                 columns[place] = replace(column, format=".0f")
         return [list(map(cell_text, row, columns)) for row in self.rows[:most]]
 
-    def remarks(self, most: int) -> list[str]:
-        """Return the notes, and the number of rows after the first `most`."""
-        hidden = len(self.rows) - most
-        return [*self.notes, *([f"{hidden} more rows in the CSV file."] if hidden > 0 else [])]
+    def remarks(self, most: int) -> Iterator[str]:
+        """Give the notes, and the number of rows after the first `most`, if there are more."""
+        yield from self.notes
+        if len(self.rows) > most:
+            yield f"{len(self.rows) - most} more rows in the CSV file."
 
     def record(self) -> dict[str, object]:
         """Return title, columns, rows and notes for JSON."""
@@ -232,12 +233,19 @@ class Table:
         text = text.replace("\\end{tabular}\n", f"\\end{{tabular}}}}\n{notes}")
         return f"% needs \\usepackage{{booktabs,graphicx}}\n{text}"
 
-    def to_markdown(self, most: int = 60) -> str:
-        """Return a heading, the first `most` rows as a table, and the notes."""
+    def to_markdown(self, most: int = 60, file: str = "") -> str:
+        """Return a heading, the first `most` rows as a table, and the notes.
+
+        Args:
+            file: the CSV file, to which the number of further rows is linked.
+        """
         every = [self.heads, *self.texts(most)]
         lines = [f"| {' | '.join(text.translate(MARKDOWN) for text in row)} |" for row in every]
         lines.insert(1, f"|{'|'.join(':--' if words else '--:' for words in self.is_text)}|")
-        notes = "".join(f"\n{note.translate(MARKDOWN)}\n" for note in self.remarks(most))
+        remarks = [remark.translate(MARKDOWN) for remark in self.remarks(most)]
+        if file and len(self.rows) > most:
+            remarks[-1] = remarks[-1].replace("CSV file", f"[CSV file]({file})")
+        notes = "".join(f"\n{remark}\n" for remark in remarks)
         return f"### {self.title.translate(MARKDOWN)}\n\n" + "\n".join(lines) + f"\n{notes}"
 
     def to_text(self, width: int = 100, most: int = 100) -> str:
@@ -276,7 +284,7 @@ class Table:
             widths, signs = [sizes[at] for at in block], [align[at] for at in block]
             runs = itertools.groupby(block, key=lambda at: self.columns[at].group)
             spans = [(group, sum(sizes[at] + 2 for at in own) - 2) for group, own in runs]
-            above = [_wrapped(group, span) for group, span in spans]
+            above = [_wrapped(group, span, indent="") for group, span in spans]
             lines = _lines(above, [span for _, span in spans], "^" * len(spans))
             heads = [_wrapped(self.columns[at].heading, sizes[at]) for at in block]
             lines += _lines(heads, widths, signs)
@@ -290,10 +298,10 @@ class Table:
         return self.to_text()
 
 
-def _wrapped(text: str, width: int) -> list[str]:
-    """Return text as lines of at most `width` letters, all but the first indented."""
+def _wrapped(text: str, width: int, indent: str = "  ") -> list[str]:
+    """Return text as lines of at most `width` letters, all but the first behind `indent`."""
     text = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}")  # a pair on one line
-    return textwrap.wrap(text, width, subsequent_indent="  ", break_on_hyphens=False)
+    return textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def _lines(

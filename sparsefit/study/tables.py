@@ -91,14 +91,18 @@ def summarised(
     parts = [part for part in parts if not np.isnan(part.values).all()]
     columns = [*map(Column, names)]
     for part in parts:
-        group = f"{part.column.group} {part.column.name}".strip()
-        ends = ("from", "to") if part.interval else ()
-        columns += [part.column, *(replace(part.column, name=end, group=group) for end in ends)]
+        columns.append(part.column)
+        group, name = part.column.group or part.column.name, part.column.name
+        for end in ("from", "to") if part.interval else ():
+            head = f"{name} {end}" if part.column.group else end
+            columns.append(replace(part.column, name=head, group=group))
     rows: list[Row] = [
         (*map(level_text, key), *(cell for part in parts for cell in part.cells(cases, places)))
         for key, places in entries.grouped(cases, names)
     ]
     title = entry.title or entry.name.replace("-", " ").capitalize() or "Measures"
+    if entry.along and not entry.title:
+        title += f": {listed([each.phrase for each in entry.measures], 'and')}"
     measured = any(part.each for part in parts) or not entry.measures
     return Table(title, tuple(columns), rows if measured else [], (*entry.notes, *notes))
 

@@ -226,7 +226,8 @@ class TestFigures:
         twin = cases.assign(title="twin")
         mute = cases.assign(title="mute", status="error", est_timescale=math.nan)
         figure = drawn("errors", pd.concat([cases, twin, mute]))
-        assert legend_of(figure) == ["lasso and 1 alike"]
+        assert legend_of(figure) == ["lasso and 1 alike", "mute"]
+        assert max(figure.axes[0].lines[1].get_ydata()) == 0.0
 
     def test_many_curves_name_the_best(self):
         cases = pd.concat([

@@ -100,7 +100,8 @@ def test_nobody_is_recommended_by_an_infinite_score():
 
 def test_two_penalties_of_one_back_end_are_told_by_their_titles():
     made = cases({"lasso 0.1": (2.0, 2.0), "lasso 0.3": (2.0, 2.0)}, reading="ladder")
-    made["title"], made["backend"] = "ladder: " + made["backend"], "lasso"
+    made["title"] = "ladder: " + made["backend"] + " with refine ladder"
+    made["backend"] = "lasso"
     selection = chosen(made.assign(label="lasso"))
     said = "Use ladder; any of 2 candidates will do, lasso 0.1 is the simplest."
     assert headline(selection) == said
