@@ -163,7 +163,10 @@ def integer(name: str, value: int, least: int, *, odd: bool = False) -> int:
 def store(record: object, check: Callable[..., object], extra: Any, *names: str) -> None:
     """Replace fields of a frozen record by the values that ``check(name, value, extra)`` returns.
 
-    extra: the unit, the least value or the shape, as the check has it.
+    extra: the third argument of the check: a unit, a least value or a shape. names: of the fields.
+
+    Raises:
+        InputError: as the check does.
     """
     for name in names:
         object.__setattr__(record, name, check(name, getattr(record, name), extra))

@@ -78,7 +78,10 @@ class Measured:
 
     @cached_property
     def waves(self) -> Array:
-        """(k_x, k_y, a, b, omega) (j, 5) in the coordinates and the time of the flight."""
+        """The waves of psi = sum a cos(phi) + b sin(phi), phi = k.x - omega t, as rows (j, 5).
+
+        k_x, k_y [rad/m], a, b [m^2/s] and omega [rad/s], in the axes and the time of the flight.
+        """
         return self.posterior.model.pattern.about((0.0, 0.0, 0.0)).waves
 
     @cached_property

@@ -82,7 +82,7 @@ class Posterior:
 
     @property
     def pushed(self) -> bool:
-        """True if the noise of a measured thrust, which is not white, dominates."""
+        """Whether the noise of a measured thrust, which is not white, dominates all other noise."""
         return any(
             leg.log.thrust_noise * leg.log.interval > leg.model.disturbance.velocity_noise
             and leg.model.disturbance.acceleration < 1.5 * leg.log.kicks

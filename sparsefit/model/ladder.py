@@ -76,7 +76,7 @@ class Proposal:
 
     @property
     def cells(self) -> WaveCells:
-        """U0 and L of its cells."""
+        """The cells of these waves: mean velocity U0 [m/s], length scale L [m] and shape."""
         return read_cells(self.wavevectors, np.column_stack([self.cosine, self.sine]))
 
 
@@ -110,7 +110,7 @@ class Ladder:
         return fit
 
     def nearest(self, phases: Array, *shapes: Shape) -> None:
-        """Fit shapes, each from its parameters nearest to waves (2, 3)."""
+        """Fit shapes, each from its parameters nearest to two waves (k_x, k_y, omega), (2, 3)."""
         for shape in shapes:
             self.descend(shape, shape.nearest(phases))
 
@@ -303,7 +303,11 @@ class Ladder:
 
 
 def propose(search: Search, start: Start) -> tuple[Proposal, ...]:
-    """The flows that explain the rows, best first, rivals included; empty if none does."""
+    """The flows that explain the rows of a search, by ascending BIC, rivals of the best included.
+
+    start: the lobe, the windows or the waves that a back-end's weights propose. Empty if the
+    scan of the rows has no lobe, or no flow is plausible.
+    """
     ladder = Ladder(search)
     if start.windows:
         ladder.length_scales(start.windows)

@@ -200,7 +200,7 @@ def samples_of(flight: Flight) -> Iterator[tuple[Any, ...]]:
 
 
 def estimate_of(estimator: Estimator, answer: BoardAnswer, **more: Any) -> Estimate:
-    """Return the answer of a board as an estimate; ``more`` are its other fields."""
+    """Return the answer of the on-board recurrence as an estimate; more: other fields of it."""
     backend: Any = estimator.backend
     doubt, reason = _WORDS.get(answer.doubt, (None, ""))
     speed, length, time, heading = answer.value.tolist()
@@ -250,7 +250,7 @@ class Stream:
 
     @property
     def fading(self) -> float:
-        """The time constant of the weights [s]; 0: equal weights."""
+        """The time constant [s] with which the weights of older samples fall; 0: equal weights."""
         return self.memory or 0.0 if self.window is None else self.window / 2.0
 
     def flying(self, estimator: Estimator) -> Estimator:

@@ -82,7 +82,13 @@ def draw_map(
 
 @styled
 def draw_flow(flow: FlowField, *flights: Flight, length_scale: float = np.nan) -> Figure:
-    """Return a figure of flights over the vorticity of a flow."""
+    """Return a figure of tracks over the vorticity of a flow, rows along y.
+
+    Args:
+        flow: any object with ``velocity(x, y, t)`` [m/s]; at the median time of the first flight.
+        flights: at least one; their positions set the edges of the map.
+        length_scale: L [m] of the smallest cells, for the resolution of the map, if known.
+    """
     figure, ((axes,),) = panels(1, 1, height=5.0)
     shades = draw_map(axes, flow, flights, length_scale)
     if shades is not None:
@@ -108,6 +114,9 @@ def draw_estimate(
     """Return the tracks over the flow, the weights, and the residual with its spectrum.
 
     Args:
+        estimate: of these flights, by this estimator, whose derivative gives the residual.
+        flights: as estimated, at least one; the residual is that of the first.
+        title: the first line over the figure.
         truth: the true length scales [m], if known.
     """
     figure, ((track, weights), (residual, power)) = panels(2, 2, height=5.9)

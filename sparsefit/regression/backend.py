@@ -97,7 +97,7 @@ class PenalisedBackend(Backend, Protocol):
 
 @runtime_checkable
 class PathBackend(PenalisedBackend, Protocol):
-    """A back-end that solves a path of penalties at once."""
+    """A back-end that solves at many penalties alpha_fraction * alpha_max in one call."""
 
     def solve_path(
         self, problem: RegressionProblem, alpha_fractions: tuple[float, ...]

@@ -131,7 +131,10 @@ class Design:
 
     @cached_property
     def means(self) -> Array:
-        """e'theta (k,) along the direction that is projected off; zeros without one."""
+        """The components e'theta (k,) of the columns along the direction e (m,).
+
+        e is projected off the columns; zeros without a direction.
+        """
         if self.direction is None:
             return np.zeros(self.shape[1])
         return replace(self, direction=None).raw_correlate(self.direction[:, None])[:, 0]

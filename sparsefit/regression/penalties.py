@@ -101,7 +101,7 @@ class Penalty(ABC):
 
     @property
     def is_bounded(self) -> bool:
-        """Whether the conjugate is finite, as weights have bounds."""
+        """Whether weights have bounds, so that the conjugate is finite everywhere."""
         return type(self).conjugate is not Penalty.conjugate
 
     def constraint(self, values: Array) -> Array:
@@ -138,7 +138,7 @@ class Penalty(ABC):
         return None
 
     def in_units(self, level: float) -> Self:
-        """The penalty of values that are divided by ``level``, and so is alpha."""
+        """The penalty of which V/level is the minimiser at alpha/level, for targets Y/level."""
         return replace(self, ridge=self.ridge * level) if self.ridge else self
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:

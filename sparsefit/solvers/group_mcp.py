@@ -29,9 +29,10 @@ ROUNDS = 100
 
 @dataclass(frozen=True)
 class GroupMCP(Checked):
-    """Group MCP at alpha = alpha_fraction * alpha_max, that of the group-LASSO; omega_g = 1.
+    """1/(2m) |Y - Z V|^2 + sum_g p(|V_g|), p'(t) = (alpha - t/gamma)_+ (Breheny and Huang 2015).
 
-    gamma > 1: the penalty is constant from |V_g| = gamma alpha on; a large one is the group-LASSO.
+    alpha = alpha_fraction * alpha_max, that of the group-LASSO with omega_g = 1. gamma > 1: the
+    penalty is constant from |V_g| = gamma alpha on; a large one is the group-LASSO.
     A group spans all targets. alpha_fraction ``auto``: chosen by `fit` by cross-validation, as an
     information criterion counts degrees of freedom of convex penalties.
     """

@@ -146,9 +146,10 @@ def solved_in_parts(
     *,
     dense: bool = False,
 ) -> Array:
-    """Weights V (p, k, n) by a call that gives u (p, k b) of b targets, target by target.
+    """Weights V (p, k, n) at alphas (p,), apart for targets that the penalty does not couple.
 
-    penalty: one that has a `kind_of`; ``dense``: a sparse design is handed over as an array.
+    call: gives weights (p, k b), target by target, of a task and its b targets, a slice of n.
+    penalty: one that has a `kind_of`; dense: whether a sparse design is handed over as an array.
     Columns that are zero throughout are left out: some solvers divide by a group's norm.
     """
     live, unit, lambdas = np.flatnonzero(design.squares > 0), float(alphas[0]), None

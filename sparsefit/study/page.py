@@ -248,7 +248,10 @@ def write(study: Any) -> list[Path]:
 
 def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
            pictures: Mapping[str, Picture], files: Mapping[str, bytes]) -> bytes:  # fmt: skip
-    """Return the README: question, headline, figures, and tables as far as they are short."""
+    """Return the README: question, headline, figures, and tables as far as 700 words go.
+
+    said: the headline and the counts; made, pictures: by name; files: those that are written.
+    """
     words = (study.name, study.question, said[0])
     name, question, answer = (text.translate(MARKDOWN) for text in words)
     written = f"{said[1]} Written by `sparsefit study report`; do not edit."

@@ -53,9 +53,9 @@ class Contender:
     """A solver of an objective, which is a back-end with its settings, at a tolerance.
 
     tolerance: NaN where it has none; missing: why it cannot run here, empty where it can; family:
-    solvers of one share a process; certified: whether checks of the data and certificates are in
-    its time; limit: of a solve [s]; foreign: whether its code is the user's own; recipe: the
-    solver, None for the back-end's own.
+    the name that solvers share which run in one process; certified: whether checks of the data and
+    certificates are in its time; limit: of a solve [s]; foreign: whether its code is the user's
+    own; recipe: the solver, None for the back-end's own.
     """
 
     objective: str

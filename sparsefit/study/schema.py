@@ -141,9 +141,9 @@ SHARE, INSIDE = Range(least=0.0, most=1.0), Range(above=0.0, below=1.0)
 
 
 def key(sentence: str, default: Any = MISSING, range: Range = ANY, unit: str = "") -> Any:
-    """A field of a record, what it holds in a sentence, and the range of its numbers.
+    """A field of a record of keys, with its sentence in the documentation, range and unit.
 
-    A default that can be called makes one.
+    default: its value, or a function without arguments that returns it; none: the key is required.
     """
 
     def check(value: object, place: Place) -> None:

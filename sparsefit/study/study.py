@@ -51,9 +51,10 @@ RESULTS, STUDIES = "results", "studies"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Study(Definition):
-    """A study file and its results folder, from `from_file` or `from_mapping`.
+    """A study, units times candidates, and its results folder; from `from_file` or `from_mapping`.
 
-    Its `name`, `kind`, `question`, `path` and `seed` are those of the file.
+    Its `name`, `question`, `path` and `seed` are those of the file; `kind` is `flights` or
+    `problems`.
     """
 
     folder: Path = Path()
@@ -105,7 +106,7 @@ class Study(Definition):
 
     @property
     def hash(self) -> str:
-        """The sha256 of the plan: results with another one are of another study."""
+        """The sha256 of the plan in hexadecimal: results with another one are of another study."""
         return self.planned.hash
 
     def plan(self) -> pd.DataFrame:
@@ -125,12 +126,16 @@ class Study(Definition):
             self.__dict__.pop("cases", None)
 
     def status(self) -> RunSummary:
-        """The progress of the study, which may be running."""
+        """The numbers of cases that are planned and done, by status; the study may be running."""
         return RunSummary.of(Store.read(self.folder, self.planned))
 
     @cached_property
     def cases(self) -> pd.DataFrame:
-        """The computed rows in the order of the plan, with its columns."""
+        """The cases so far, a row each in the order of the plan: its columns and the outcomes.
+
+        Raises:
+            InputError: if no case was run, or the results are damaged or of another study.
+        """
         store, frame = Store.read(self.folder, self.planned), self.plan()
         if store.finished:
             table = read_cases(self.folder)
@@ -148,7 +153,7 @@ class Study(Definition):
 
     @property
     def missing(self) -> dict[str, str]:
-        """The reason by solver that cannot run here; empty for flights."""
+        """The solvers that cannot run here, with the reason; empty for flights."""
         if not isinstance(self.design, ProblemDesign):
             return {}
         return {each.solver: each.missing for each in self.design.contenders if each.missing}
@@ -188,7 +193,11 @@ class Study(Definition):
         return outcome
 
     def cells_of(self, candidate: str) -> list[int]:
-        """The indices of the cells of a candidate, one per condition."""
+        """The indices of the cells of a candidate, one per condition.
+
+        Raises:
+            InputError: for a candidate that the study does not plan.
+        """
         candidates = self.planned.cells["candidate"]
         cells = [cell for cell, name in enumerate(candidates) if name == candidate]
         if not cells:
@@ -196,7 +205,11 @@ class Study(Definition):
         return cells
 
     def estimator(self, candidate: str) -> Estimator:
-        """The estimator of a candidate."""
+        """The estimator that a candidate of a study of flights is.
+
+        Args:
+            candidate: its name in the column `candidate` of `plan()`.
+        """
         return estimator_of(self, self.flights.cells[self.cells_of(candidate)[0]])
 
     def call(self, candidate: str) -> str:
@@ -262,7 +275,7 @@ class Study(Definition):
 
     @property
     def latencies(self) -> dict[str, Latency]:
-        """Latencies by candidate that this version has measured."""
+        """The latencies [s] and the memory [MB] by candidate that this version has measured."""
         return read_latencies(self.hash, self.folder)
 
     def latency(
@@ -285,13 +298,25 @@ class Study(Definition):
         return {name: latencies[name] for name in candidates}
 
     def select(self, **rule: Any) -> Any:
-        """The selected candidate with its evidence; options replace those of [select]."""
+        """The selected candidate with its evidence; options replace those of [select].
+
+        Raises:
+            InputError: if the study is unfinished or has no split, or an option is unknown.
+        """
         return import_module("sparsefit.study.selection").select(self, **rule)
 
     def table(self, entry: str | Mapping[str, object]) -> Any:
-        """A table of the cases, by name or by options as in [outputs]."""
+        """The `Table` of the cases that a name, or options, of [outputs] ask for.
+
+        Raises:
+            InputError: for a name, an option or a measure that is unknown, with the nearest.
+        """
         return import_module("sparsefit.study.tables").table(self, entry)
 
     def figure(self, entry: str | Mapping[str, object]) -> Any:
-        """A figure of the cases, by name or by options as in [outputs]."""
+        """The matplotlib figure of the cases that a name, or options, of [outputs] ask for.
+
+        Raises:
+            InputError: for a name, an option or a measure that is unknown, or if nothing is drawn.
+        """
         return import_module("sparsefit.study.figures").figure(self, entry)
