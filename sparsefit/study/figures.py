@@ -24,7 +24,7 @@ from sparsefit.study.entries import Entry, Options, factor_words, grouped, level
 from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers
 from sparsefit.study.panels import LOG_RANGE, Curve, Panel, Ranks, drawn
 from sparsefit.study.resampling import wilson
-from sparsefit.study.table import sentence
+from sparsefit.study.table import listed, sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -263,11 +263,17 @@ def figures(
             continue
         drawing = styled(LAYOUTS[entry.compare or "settings"], entry.width)(entry, cases)
         if drawing is not None:
-            bars = ("Bars: 95 % Wilson intervals",) * any(axes.collections for axes in drawing.axes)
-            shown = entry.title or "; ".join(each.phrase for each in entry.measures)
+            shown = entry.title or measures.phrases(entry.measures)
             if entry.compare == "ecdf" and not entry.title:
                 shown = "Distribution functions of all planned cases, failures included"
-            caption = " ".join(map(sentence, (shown, *entry.notes, *bars)))
+            said = [shown, *entry.notes]
+            if entry.limits:
+                limits = listed([f"{limit:g}" for limit in sorted(entry.limits)], "and")
+                units = {each.unit for each in entry.measures}
+                said.append(f"Dashed: {limits} {units.pop() if len(units) == 1 else ''}".rstrip())
+            if any(axes.collections for axes in drawing.axes):
+                said.append("Bars: 95 % Wilson intervals")
+            caption = " ".join(map(sentence, said))
             every[name] = Picture(drawing, caption)
         elif names:
             words = ", ".join(each.words for each in entry.measures) or "an answer"

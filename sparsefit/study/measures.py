@@ -9,7 +9,7 @@ out, and the tables count it beside them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -20,6 +20,7 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import one_of, unknown
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.resampling import QUANTILES, SUMMARIES, SUMMARY_NAMES, TINY, quantile
+from sparsefit.study.table import listed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -170,6 +171,16 @@ def measure(words: str) -> Measure:
     one_of("summary", summary, SUMMARY_NAMES)
     own = MEASURES[name]
     return replace(own, summary=summary, format=own.format if summary == "value" else "")
+
+
+def phrases(every: Sequence[Measure]) -> str:
+    """Return measures in words, one phrase for several parameters: `median |error| of U0, L_w`."""
+    symbols: dict[str, list[str]] = {}
+    for each in every:
+        symbol = next((own for own in SYMBOLS.values() if own in each.words), "")
+        phrase = each.phrase.replace(symbol, "{}") if symbol else each.phrase
+        symbols.setdefault(phrase, []).append(symbol)
+    return "; ".join(phrase.format(listed(own, "and")) for phrase, own in symbols.items())
 
 
 def three(kind: str) -> tuple[str, ...]:

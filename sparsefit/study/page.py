@@ -272,7 +272,7 @@ def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
 
 
 def write_case(study: Any, case_id: str, file: Path) -> Table:
-    """Run a case again, draw it into a file, and return its numbers, stored and now.
+    """Run a case again, draw it into a file, and return its status and numbers, stored and now.
 
     Args:
         file: .svg, .png or .pdf; a regression problem is not drawn.
@@ -287,7 +287,9 @@ def write_case(study: Any, case_id: str, file: Path) -> Table:
     again, cases = study.again(case_id), study.cases
     same: list[Any] = cases[cases["case_id"] == case_id].to_dict("records")
     stored = same[0] if same else {}
-    numbers = {"stored": stored, "run again": again.values}
+    end = again.estimate if study.kind == "flights" else again
+    values = {"status": end.status, **again.values}
+    numbers = {"stored": stored, "run again": values}
     if study.kind == "flights":
         truth = {f"est_{name[5:]}": stored[name] for name in stored if name.startswith("true_")}
         numbers = {"truth": truth, **numbers}
@@ -298,7 +300,8 @@ def write_case(study: Any, case_id: str, file: Path) -> Table:
         estimator = study.estimator(case["candidate"])
         figure = draw_estimate(again.estimate, estimator, flights, title, truths)
         write_whole(file, encoded(figure, file.suffix.lower()))
-    frame = pd.DataFrame(numbers, index=pd.Index(again.values, name="what"), dtype=object)
+    frame = pd.DataFrame(numbers, index=pd.Index(values, name="what"), dtype=object)
     frame = frame.replace("", None).dropna(how="all", subset=["stored", "run again"])
     columns = (Column("what"), *(Column(name, format=".6g") for name in numbers))
-    return replace(Table.of(frame), title=f"Case {case_id}", columns=columns)
+    notes = (f"Run again: {end.reason}.",) if end.reason else ()
+    return replace(Table.of(frame), title=f"Case {case_id}", columns=columns, notes=notes)

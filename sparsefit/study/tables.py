@@ -101,8 +101,6 @@ def summarised(
         for key, places in entries.grouped(cases, names)
     ]
     title = entry.title or entry.name.replace("-", " ").capitalize() or "Measures"
-    if entry.along and not entry.title:
-        title += f": {listed([each.phrase for each in entry.measures], 'and')}"
     measured = any(part.each for part in parts) or not entry.measures
     return Table(title, tuple(columns), rows if measured else [], (*entry.notes, *notes))
 
@@ -131,7 +129,7 @@ def settings(entry: Entry, cases: pd.DataFrame) -> Table:
             parts.append(Part(column, values, each, entry.interval))
             continue
         words, levels = entries.factor_words(entry.along), entries.levels_of(cases, entry.along)
-        group = f"{column.name}, {words}" if len(entry.measures) > 1 else words
+        group = f"{column.group} {column.name}, {words}".strip()
         for level in levels.cat.categories:
             here = measures.only((levels == level).to_numpy(), values)
             of_level = replace(column, name=level, group=group)

@@ -50,7 +50,8 @@ class TestTables:
         ])  # fmt: skip
         table = made({"name": "x", "measure": ["timescale-error"], "compare": "protocols",
                       "along": "flights.duration", "rows": ["title"]}, cases)  # fmt: skip
-        assert [each.name for each in table.columns] == ["title", "n", "ok", "failures", "5", "20"]
+        group = "median |error| τ_w, duration"
+        assert table.heads == ["title", "n", "ok", "failures", f"{group} 5 [%]", f"{group} 20 [%]"]
         with pytest.raises(InputError, match="did you mean"):
             made({"name": "x", "measure": ["timescale-error"], "compare": "protocols",
                   "along": "flights.duratio"}, cases)  # fmt: skip
