@@ -45,6 +45,9 @@ REAL = Kind("float64", float, math.nan, (float, int), dense=True)
 SINGLE = Kind("float32", float, math.nan, (float, int), dense=True)  # seven digits are enough
 
 
+_JSON = json.JSONEncoder(separators=(",", ":"))
+
+
 @dataclass(frozen=True)
 class Column:
     """One column; path: the names from a case of flights to its value, `.0` of a pair."""
@@ -85,7 +88,7 @@ class Outcome:
 def body_of(values: Mapping[str, Value | None]) -> str:
     """Values as JSON, empty ones left out."""
     content = {n: v for n, v in values.items() if v == v and v is not None and v != ""}
-    return json.dumps(content, separators=(",", ":"))
+    return _JSON.encode(content)
 
 
 def outcome_of(

@@ -21,7 +21,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import chain
+from itertools import chain, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
@@ -203,14 +203,17 @@ class Store:
         if not self.exported:
             uri = f"{path.absolute().as_uri()}?mode=rw"
             with _telling(path), closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as base:
-                base.text_factory = lambda text: text.decode(errors="replace")  # of a damaged row
+                base.text_factory = bytes
                 if base.execute("SELECT 1 FROM sqlite_master WHERE name = 'cases'").fetchone():
                     every = base.execute(
                         "SELECT case_id, status, reason, version, body, crc FROM cases"
                     )
                     for *content, crc in every:
-                        row = Row(*content) if all(isinstance(p, str) for p in content) else None
-                        yield row if row and row.crc == crc and row.status in STATUSES else None
+                        # In a damaged file they may be of any type.
+                        texts = set(map(type, content)) == {bytes}
+                        whole = texts and crc32(b"\0".join(content)) == crc
+                        row = Row(*map(bytes.decode, content)) if whole else None
+                        yield row if row and row.status in STATUSES else None
                     return
             self.exported = True
         if is_regular(self.folder / CASES):
@@ -222,11 +225,11 @@ class Store:
             there = set(file.schema_arrow.names)
             own = [name for name in kinds_of(self.plan.stored)
                    if name in there.difference(self.plan.columns, ENDED) and not brief]  # fmt: skip
-            for batch in file.iter_batches(batch_size=BATCH, columns=["case_id", *ENDED, *own]):
-                content = batch.to_pydict()
-                every = zip(*(content[name] for name in ("case_id", *ENDED)), strict=True)
-                for number, (case_id, status, reason, version) in enumerate(every):
-                    body = body_of({name: content[name][number] for name in own})
+            names = ("case_id", *ENDED)
+            for batch in file.iter_batches(batch_size=BATCH, columns=[*names, *own]):
+                facts = (batch[name].to_pylist() for name in names)
+                bodies = repeat("") if brief else map(body_of, batch.select(own).to_pylist())
+                for case_id, status, reason, version, body in zip(*facts, bodies, strict=False):
                     row = Row(case_id, status, reason or "", version or "", body)
                     yield row if status in STATUSES else None
 
@@ -333,18 +336,20 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     """The table of `cases.parquet`: columns of the plan, of the rows, and swept factors."""
     import pyarrow as pa
 
-    bodies = [json.loads(row.body) for row in rows]
     places = [plan.place_of[row.case_id] for row in rows]
+    types = {column.name: pa.type_for_alias(column.kind.arrow) for column in plan.stored}
+    own = types.keys() - {*ENDED, *plan.columns}
+    bodies = pa.array([json.loads(row.body) for row in rows], pa.struct({n: types[n] for n in own}))
     arrays: dict[str, Any] = {}
     for column in plan.stored:
-        name, kind, empty = column.name, column.kind, column.kind.empty
-        if name in ENDED:
-            values = [getattr(row, name) for row in rows]
-        elif name in plan.columns:
-            values = [plan.columns[name][place] for place in places]
+        name = column.name
+        if name in own:
+            arrays[name] = bodies.field(name).fill_null(column.kind.empty)
+        elif name in ENDED:
+            arrays[name] = pa.array([getattr(row, name) for row in rows], types[name])
         else:
-            values = [body.get(name, empty) for body in bodies]
-        arrays[name] = pa.array(values, type=pa.type_for_alias(kind.arrow))
+            values = [plan.columns[name][place] for place in places]
+            arrays[name] = pa.array(values, types[name])
     swept: Mapping[str, Any] = getattr(plan.definition.design, "sweep", {})
     for key, levels in swept.items():
         kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
