@@ -90,19 +90,7 @@ def run(
     A row is valid for any study that plans its case: a study that has changed computes its new
     cases, and drops those that it no longer plans once it is finished.
 
-    Args:
-        processes: the number of worker processes; by default that of the processors.
-        fresh: discard all rows first.
-        retry_failed: compute cases again that ended as error, timeout or crashed.
-        stale: compute cases again whose rows are of another version of the code.
-        only: compute only the cases of these names.
-        scheduler: the address of a dask scheduler, whose workers take the place of processes of
-            this machine.
-        progress: called with (cases done, cases planned, seconds left or None).
-
-    Raises:
-        InputError: if the folder cannot be written, is in use, or is another study's.
-        KeyboardInterrupt: interrupted; the rows so far are on the disk.
+    The options are those of `Study.run`, and so are the errors.
     """
     begun, shown = time.monotonic(), 0.0
     if processes is not None and not is_integer(processes, 1):

@@ -1,4 +1,4 @@
-"""`sf.Study`: the Python interface of studies, which the command line calls, too.
+"""`sf.Study`: the Python interface of studies, which the command line calls, too::
 
     study = sf.Study.from_file("mine.toml")
     study.plan()                       # a frame, one row a case
@@ -114,7 +114,21 @@ class Study(Definition):
         return self.planned.frame()
 
     def run(self, **request: Any) -> RunSummary:
-        """Compute the cases without a row; `runner.run` documents the options.
+        """Compute the cases that have no row yet, and write them to the results folder.
+
+        Args:
+            processes: the number of worker processes; by default that of the processors.
+            fresh: discard all rows first.
+            retry_failed: compute cases again that ended as error, timeout or crashed.
+            stale: compute cases again whose rows are of another version of the code.
+            only: compute only these: names of back-ends, labels, protocols or units, with `*` for
+                any letters, or ids of cases.
+            scheduler: the address of a dask scheduler, whose workers take the place of processes
+                of this machine.
+            progress: called with (cases done, cases planned, seconds left or None).
+
+        Returns:
+            The progress of the study: counts of cases by status, and seconds.
 
         Raises:
             InputError: if the folder cannot be written, is in use, or is another study's.
@@ -163,7 +177,12 @@ class Study(Definition):
         return self.planned.counts() | ({"missing": self.missing} if self.missing else {})
 
     def merge(self, parts: Sequence[str | Path]) -> list[MergedPart]:
-        """Add the rows of other results folders of this study; see `runner.merge`."""
+        """Add the rows of other results folders of this study, and return what each part gave.
+
+        Raises:
+            InputError: if a part is no results folder, is damaged or of another study, if two rows
+                of one case differ (no row is copied then), or the study is of solvers.
+        """
         self.__dict__.pop("cases", None)
         return merge(self.planned, self.folder, parts)
 
