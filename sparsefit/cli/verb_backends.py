@@ -102,6 +102,7 @@ def run_check(args: argparse.Namespace) -> Reply:
 def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     """The answer of the back-end on a small flight, JSON-ready."""
     import sparsefit as sf
+    from sparsefit.solvers.kernels import compiled
 
     backend = sf.backends.get(name, **settings)
     truth, vehicle = sf.CellularFlow(15.0, 4.0), sf.PointMassVehicle(0.5, (5.0, 3.0))
@@ -118,7 +119,8 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
             raise
     answer = {key: record[key] for key in ANSWER if key in record}
     true = {"true_mean_velocity": truth.mean_velocity, "true_length_scale": truth.length_scale}
-    return {"backend": name, **answer, **true, "faults": wrong}
+    loops = {"compiled": compiled("homotopy") is not None}
+    return {"backend": name, **answer, **true, **loops, "faults": wrong}
 
 
 def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
