@@ -44,7 +44,7 @@ def run_list(args: argparse.Namespace) -> Reply:
       sparsefit backends list --json
     """
     from sparsefit import backends
-    from sparsefit.solvers.registry import Recipe, solver_names
+    from sparsefit.solvers.registry import solver_names
     from sparsefit.study.worker import in_child
 
     def record(name: str) -> dict[str, Any]:
@@ -54,11 +54,9 @@ def run_list(args: argparse.Namespace) -> Reply:
         except InputError as error:
             return {"name": name, "error": str(error)}
 
-    others = [Recipe(name) for name in solver_names()]
     return Reply({
         "backends": [record(name) for name in (*backends.known(), *backends.PUBLIC)],
-        "solvers": [other.name for other in others if not other.missing],
-        "missing": {other.name: other.missing for other in others if other.missing},
+        "solvers": [*solver_names()],
     })  # fmt: skip
 
 

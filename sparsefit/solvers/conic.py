@@ -16,7 +16,7 @@ Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. 
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -33,6 +33,7 @@ from sparsefit.regression.penalties import (
     Penalty,
     SquaredNorm,
 )
+from sparsefit.regression.problem import compressed
 
 BATCH, ROUNDS = 50, 60  # columns that join at a time, cone programs at a penalty
 
@@ -98,12 +99,12 @@ def _solved(
         sums = (square + design.products(index), linear, columns[:0], target[:0])
         values, status = _cone_program(*sums, penalty, stop)
         if status != "Solved":  # rows keep digits that Z'Z loses of columns that are alike
-            rows = triangular(columns / root, target / (root * alpha))
+            rows = compressed([(columns / root, target / (root * alpha))])
             others, word = _cone_program(square, 0.0 * linear, *rows, penalty, stop)
             values, status = (others, word) if "Solved" in word else (values, status)
         return values * alpha, status
     part, alphas = Design(columns, design.samples), np.array([alpha])
-    return BEHIND_CVXPY["clarabel"].path(part, target, penalty, alphas, stop)[0], "Solved"
+    return ByConicForm().path(part, target, penalty, alphas, stop)[0], "Solved"
 
 
 def _no_conic_form(penalty: Penalty) -> str:
@@ -120,15 +121,6 @@ def _layers(penalty: Penalty) -> list[Any] | None:
     if isinstance(penalty, NestedNorms):
         return [penalty.outer, penalty.inner]
     return [penalty] if type(penalty) in (AbsoluteValues, GroupNorms) else None
-
-
-def triangular(matrix: Array, target: Array) -> tuple[Array, Array]:
-    """The matrix (m, k) and targets (m, n) as the rows of a QR of both, where these are fewer."""
-    columns = matrix.shape[1]
-    if len(matrix) <= columns + target.shape[1]:
-        return matrix, target
-    triangle: Any = np.linalg.qr(np.hstack([matrix, target]), mode="r")
-    return triangle[:, :columns], triangle[:, columns:]
 
 
 def _cone_program(
@@ -181,19 +173,18 @@ def _cone_program(
 
 @dataclass(frozen=True)
 class Cvxpy:
-    """A solver behind cvxpy, compiled once for a path; V and the target are divided by alpha_1.
+    """Base of the solvers behind cvxpy, compiled once for a path; V and Y are divided by alpha_1.
 
     name: its name in cvxpy, in lower case; package: the module it needs; tolerances: the names of
-    its tolerances; more: further settings; extra: the name for pip, if not the package; cones:
-    whether it takes cones, and not quadratic programs alone.
+    its tolerances; more: further settings; cones: whether it takes cones, and not quadratic
+    programs alone.
     """
 
-    name: str
-    package: str
-    tolerances: tuple[str, ...] = ()
-    more: Mapping[str, Any] = field(default_factory=dict)
-    extra: str = ""
-    cones: bool = True
+    name: ClassVar[str]
+    package: ClassVar[str]
+    tolerances: ClassVar[tuple[str, ...]] = ()
+    more: ClassVar[Mapping[str, Any]] = {}
+    cones: ClassVar[bool] = True
 
     def takes(self, penalty: Penalty) -> str:
         """The reason for refusing a penalty: it has no conic form, or cones."""
@@ -252,7 +243,7 @@ def _loss(loss: Squares, matrix: Array, target: Array, variable: Any, samples: i
 
     if np.isinf(loss.clip):
         level = np.linalg.norm(target) / math.sqrt(samples)
-        matrix, target = triangular(matrix, target)
+        matrix, target = compressed([(matrix, target)])
         residual = matrix @ variable - target
         if isinstance(loss, RootSquares):
             return level / math.sqrt(samples) * cvxpy.norm(residual, "fro")
@@ -265,19 +256,10 @@ def _loss(loss: Squares, matrix: Array, target: Array, variable: Any, samples: i
     return cvxpy.sum(cvxpy.multiply(knots**2 / (2 * samples), unit_free))
 
 
-EPS, EXTRA = ("eps_abs", "eps_rel"), "'sparsefit[peers]'"
-CLARABEL = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
-_LISTED = (
-    Cvxpy("clarabel", "clarabel", CLARABEL, {"max_threads": 1}),
-    Cvxpy("osqp", "osqp", EPS, {"max_iter": 50_000, "polishing": True}, cones=False),
-    Cvxpy("scs", "scs", EPS, {"max_iters": 50_000}),
-    Cvxpy("piqp", "piqp", EPS, extra=EXTRA, cones=False),
-    Cvxpy("daqp", "daqp", extra=EXTRA, cones=False),
-    Cvxpy("proxqp", "proxsuite", EPS, cones=False),
-    Cvxpy("ecos", "ecos", ("abstol", "reltol", "feastol")),
-    Cvxpy("highs", "highspy", cones=False),
-    Cvxpy("gurobi", "gurobipy"),
-    *(Cvxpy(name, name) for name in ("qoco", "cvxopt", "mosek")),
-)
-BEHIND_CVXPY: Mapping[str, Cvxpy] = {each.name: each for each in _LISTED}
-"""The solvers behind cvxpy by name; Clarabel is the referee's for penalties that have no cone."""
+class ByConicForm(Cvxpy):
+    """Clarabel behind cvxpy: the referee of penalties and losses that have a conic form alone."""
+
+    name = "clarabel"
+    package = "clarabel"
+    tolerances = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
+    more: ClassVar[Mapping[str, Any]] = {"max_threads": 1}

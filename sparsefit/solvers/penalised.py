@@ -49,7 +49,7 @@ class PenalisedPath(Checked, ABC):
 
     alpha_fraction: alpha / alpha_max, or ``auto``: chosen by `fit` from the data by the rule
     ``selection``. solver: ``exact``, or the name of the exact path, or ``clarabel``, the
-    independent referee; for studies, any registered solver.
+    independent referee.
     """
 
     certificate_kind: ClassVar[CertificateKind] = "duality_gap"
@@ -59,12 +59,8 @@ class PenalisedPath(Checked, ABC):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self._is_exact:
-            from sparsefit.solvers.registry import solver, solver_names
-
-            names = (type(self).solver, "exact", *solver_names())
-            one_of(f"solver of {self.name}", self.solver, names)
-            solver(self.solver)  # which may be missing here
+        names = (type(self).solver, "exact", "clarabel")
+        one_of(f"solver of {self.name}", self.solver, names)
 
     @property
     def _is_exact(self) -> bool:
@@ -84,9 +80,9 @@ class PenalisedPath(Checked, ABC):
         """Solutions at descending penalties, each warm-started by the one before."""
         penalty = self.penalty(problem)
         if not self._is_exact:
-            from sparsefit.solvers.registry import answers, solver
+            from sparsefit.solvers.registry import Recipe, answers
 
-            return answers(solver(self.solver), problem, penalty, alpha_fractions)
+            return answers(Recipe(self.solver).make(), problem, penalty, alpha_fractions)
         alphas = problem.alpha_max(penalty) * np.array(alpha_fractions)
         path = exact_path(problem.design, problem.target, penalty, alphas, cross=problem.cross)
         weights = path.weights / problem.design.rms[:, None]

@@ -125,15 +125,15 @@ def size_of(data: Data) -> dict[str, Value]:
 class Arena:
     """The solvers' workers, and the problem that they solve.
 
-    The folder of the crew holds the arrays. met: the contenders that each worker has called before;
-    overhead: the time [s] of an empty request to it; lost: the ends of contenders whose first call
-    was lost, which are not tried again; first: the times [s] of first calls; unit, data, file: the
-    current problem.
+    The folder of the crew holds the arrays. met: the contenders that each worker has called before
+    on dense columns, or sparse ones, for which some compile anew; overhead: the time [s] of an
+    empty request to it; lost: the ends of contenders whose first call was lost, which are not tried
+    again; first: the times [s] of first calls; unit, data, file: the current problem.
     """
 
     design: ProblemDesign
     crew: Crew
-    met: dict[Worker, set[tuple[str, str]]] = field(default_factory=dict)
+    met: dict[Worker, set[tuple[tuple[str, str], bool]]] = field(default_factory=dict)
     overhead: dict[Worker, float] = field(default_factory=dict)
     lost: dict[tuple[str, str], NoAnswerError] = field(default_factory=dict)
     first: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -234,7 +234,7 @@ class Arena:
 
     def _acquainted(self, case: Case) -> Worker:
         """The worker of a case, its overhead measured, after a first call of the contender."""
-        names = case.contender.names
+        names, sparse = case.contender.names, not isinstance(self.data.theta, np.ndarray)
         if names in self.lost:
             raise self.lost[names]
         worker = self.crew.worker(f"solver {case.contender.family}")
@@ -242,11 +242,12 @@ class Arena:
             asks = [worker.ask("nothing", {}, READY_SECONDS, work=SOLVE, timed=True)
                     for _ in range(9)]  # fmt: skip
             self.overhead[worker] = float(np.median([answer.wall for answer in asks]))
-        if names in self.met.setdefault(worker, set()):
+        if (names, sparse) in self.met.setdefault(worker, set()):
             return worker
         try:
             limit = case.contender.killed(small_problem().targets, first=True)
-            first = worker.ask("first", {"contender": case.cell}, limit, work=FIRST, timed=True)
+            content = {"contender": case.cell, "sparse": sparse}
+            first = worker.ask("first", content, limit, work=FIRST, timed=True)
             _in_time(first, FIRST)
             self.first.setdefault(names, first.wall)
         except NoAnswerError as failed:
@@ -254,7 +255,7 @@ class Arena:
                 self.lost[names] = failed
                 raise
             # One that raises on the small problem may still solve the others.
-        self.met[worker].add(names)
+        self.met[worker].add((names, sparse))
         return worker
 
     def _judge(self, case: Case, weights: Array) -> None:

@@ -9,7 +9,8 @@
     file = "my_solver.py"
     iterations = [100, 1000, 10000]
 
-Entries of one label are one objective, solved by every one of its solvers. A ``certified`` one is
+An entry of [[solvers]] without a name brings every solver of its file. Entries of one label are one
+objective, solved by every one of its solvers. A ``certified`` one is
 charged for all that `sparsefit.path` does. `kind = "problems"` judges each by held-out rows, too.
 """
 
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +30,7 @@ from sparsefit import Estimator, RegressionProblem, backends
 from sparsefit.codec import Place, build, integer, only
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
 from sparsefit.solvers.penalised import PenalisedPath
-from sparsefit.solvers.registry import SHIPPED, Recipe, solver_names
+from sparsefit.solvers.registry import REFEREE, Recipe, solver_names
 from sparsefit.study import crossing, data_sets, schema
 from sparsefit.study.draw import SIMULATION, stream
 from sparsefit.study.keys import (
@@ -205,30 +206,32 @@ def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_se
 def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
     """The contenders of a study file, each accepted by its back-end or noted as missing."""
     here, recipes = place.within("backends"), _read_solvers(file, place)
-    listed, entries = list[Contender](), list[ContenderKeys]()
+    listed, entries, foreign = list[Contender](), list[ContenderKeys](), False
     for keys, grid, settings in crossing.points_of_entries(file.backends, ContenderKeys, here):
         if file.path is not None and crossing.ALPHA in grid:
             raise here.at(crossing.ALPHA).error("is a single fit's: [path] sets the penalties")
         label, limit = keys.label or crossing.named(keys.name, settings), file.clock.limit
         for name in keys.solver:
-            for solver, recipe in recipes.get(name) or [(name, Recipe(name) if name else None)]:
+            for solver, recipe in _recipes_of(name, recipes):
                 words = (label, keys.name, settings, solver, recipe, keys.certified, limit)
-                listed.append(Contender(*words, _foreign(keys.name, recipe)))
+                listed.append(Contender(*words))
                 entries.append(keys)
-    foreign = any(contender.foreign for contender in listed)
+                foreign = foreign or _foreign(keys.name, recipe)
     about = crossing.facts(about_contenders, listed, foreign=foreign, place=here)
     contenders: list[Contender] = []
     for keys, contender, facts in zip(entries, listed, about, strict=True):
         recipe = contender.recipe
         if "refused" in facts:
-            own = f"; [[solvers]] has {', '.join(recipes)}" if recipes else ""
-            known = recipe is None or recipe.name in recipes
+            named = ", ".join(filter(None, recipes))
+            own = f"; [[solvers]] has {named}" if named else ""
+            known = recipe is None or bool(recipe.file) or recipe.name in recipes
             raise here.error(facts["refused"] + ("" if known else own))
         if keys.certified and not facts["exact"]:
             why = "is for an exact path of sparsefit: no other certifies its answers"
             raise here.at("certified").error(why)
         recipe, solver = (None, facts["solver"]) if facts["solver"] else (recipe, contender.solver)
-        changes = {"family": facts["family"], "missing": facts["missing"], "recipe": recipe}
+        changes = {key: facts[key] for key in ("family", "missing", "compiles")}
+        changes["recipe"] = recipe
         contender = replace(contender, solver=solver + ", certified" * keys.certified, **changes)
         if any(other.names == contender.names for other in contenders):
             what = f'lists "{contender.solver}" twice for "{contender.objective}"'
@@ -244,19 +247,37 @@ def _foreign(backend: str, recipe: Recipe | None) -> bool:
     own = backend not in backends.PUBLIC and crossing.of_others(backend)
     if recipe is None or recipe.command:
         return own
-    return own or bool(recipe.file) or recipe.name in {*solver_names()} - {*SHIPPED}
+    return own or bool(recipe.file) or recipe.name in {*solver_names()} - {REFEREE}
 
 
-def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, Recipe | None]]]:
+def _recipes_of(
+    name: str, recipes: Mapping[str, list[tuple[str, Recipe]]]
+) -> list[tuple[str, Recipe | None]]:
+    """The words and a recipe of every contender that ``solver`` of a back-end names.
+
+    A name that is of no entry and no package is of the file whose entry has no name.
+    """
+    if not name:
+        return [("", None)]
+    if name in recipes:
+        return [*recipes[name]]
+    if name in solver_names() or "" not in recipes:
+        return [(name, Recipe(name))]
+    return [(name + words, replace(recipe, name=name)) for words, recipe in recipes[""]]
+
+
+def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, Recipe]]]:
     """The [[solvers]] by name: the words and a recipe for every point of the grid of its settings.
 
     The words are its name and the settings that vary.
     """
-    recipes: dict[str, list[tuple[str, Recipe | None]]] = {}
+    recipes: dict[str, list[tuple[str, Recipe]]] = {}
     here, folder = place.within("solvers"), Path(place.file).parent
+    if sum("name" not in entry for entry in file.solvers) > 1:
+        raise here.at("name").error("missing: one file without a name is the most")
     for keys, grid, point in crossing.points_of_entries(file.solvers, SolverKeys, here):
         code = str(folder / keys.file) if keys.file else ""
-        if not (code or keys.command) and keys.name not in solver_names():
+        if not (code or (keys.command and keys.name)) and keys.name not in solver_names():
             words = f'missing: "{keys.name}" is of no package: give its file, or its command'
             raise here.at("file").error(words)
         if keys.command:
@@ -268,7 +289,7 @@ def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, 
 
 
 def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
-    """Of each contender: its solver, family, whether it stops at a tolerance.
+    """Of each contender: its solver, family, whether it stops at a tolerance and `compiles`.
 
     solver: the name of the back-end's own, empty where the recipe's counts; exact: whether that is
     an exact path of sparsefit; missing: why it cannot run here. Of one that is none, the reason why
@@ -278,7 +299,12 @@ def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
     for contender in listed:
         name, recipe = contender.backend, contender.recipe
         about: dict[str, Any] = dict.fromkeys(("exact", "stops"), False)
-        about |= {"solver": "", "family": OURS, "missing": ""}
+        about |= {
+            "solver": "",
+            "family": OURS,
+            "missing": "",
+            "compiles": not _foreign(name, recipe),
+        }
         content.append(about)
         try:
             backend = contender.settled
@@ -286,7 +312,7 @@ def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
             if exact and backend.alpha_fraction == "auto":
                 raise InputError('alpha_fraction = "auto" is many fits: give a number')
             if exact and (recipe is None or recipe.name == exact):
-                about |= {"solver": exact, "exact": True}
+                about |= {"solver": exact, "exact": True, "compiles": True}
             elif recipe is None:
                 about |= {"solver": name, "family": OURS if name in backends.BACKENDS else name}
             elif not exact:
@@ -294,6 +320,7 @@ def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
             else:
                 own = f"{recipe.name}{dict(recipe.settings) or ''}"
                 about |= {"stops": recipe.stops, "missing": recipe.missing}
+                about["compiles"] |= recipe.compiles
                 about["family"] = recipe.package or own
                 takes = None if about["missing"] else getattr(recipe.make(), "takes", None)
                 if callable(takes) and (reason := takes(backend.penalty(problem))):

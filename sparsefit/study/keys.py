@@ -284,7 +284,9 @@ class ContenderKeys:
 class SolverKeys:
     """The keys of [[solvers]] beside settings."""
 
-    name: str = key("Name by which `solver` refers to it.")
+    name: str = key(
+        "Name by which `solver` refers to it; without it, every solver of the file is there.", ""
+    )
     file: str = key("A Python file with its class, beside the study.", "")
     command: tuple[str, ...] = key("Or a program and its arguments.", ())
     start: float = key(

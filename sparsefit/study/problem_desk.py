@@ -54,8 +54,8 @@ class Contender:
 
     tolerance: NaN where it has none; missing: why it cannot run here, empty where it can; family:
     the name that solvers share which run in one process; certified: whether checks of the data and
-    certificates are in its time; limit: of a solve [s]; foreign: whether its code is the user's
-    own; recipe: the solver, None for the back-end's own.
+    certificates are in its time; limit: of a solve [s]; compiles: whether a first call may take
+    longer; recipe: the solver, None for the back-end's own.
     """
 
     objective: str
@@ -65,19 +65,19 @@ class Contender:
     recipe: Recipe | None
     certified: bool
     limit: float
-    foreign: bool
     tolerance: float = math.nan
     family: str = ""
+    compiles: bool = False
     missing: str = ""
 
     def killed(self, targets: int, *, first: bool = False) -> float:
         """The time [s] after which a solve is killed, longer than a command's own limits.
 
-        The first call of a solver that sparsefit knows may compile.
+        A first call may compile.
         """
         if self.recipe is not None and self.command:
             return self.limit + targets * self.recipe.start + FIRST_SECONDS
-        return max(self.limit, FIRST_SECONDS) if first and not self.foreign else self.limit
+        return max(self.limit, FIRST_SECONDS) if first and self.compiles else self.limit
 
     @property
     def command(self) -> bool:
@@ -199,11 +199,12 @@ def fractions_of(backend: Any, requested: Sequence[float]) -> tuple[float, ...]:
     return tuple(requested) or (numeric_fraction(backend.name, backend.alpha_fraction),)
 
 
-def small_problem() -> RegressionProblem:
+def small_problem(*, sparse: bool = False) -> RegressionProblem:
     """The problem of a first call: twelve columns in groups of three, two targets."""
     draw = np.random.default_rng(0)
-    theta = draw.standard_normal((40, 12))
+    theta: Any = draw.standard_normal((40, 12))
     target = theta[:, :2] @ draw.standard_normal((2, 2)) + 0.1 * draw.standard_normal((40, 2))
+    theta = csc_array(theta) if sparse else theta
     return RegressionProblem.from_arrays(theta, target, np.arange(12) // 3)
 
 
@@ -243,9 +244,10 @@ class SolverDesk:
         gc.disable()
         return {"memory": memory}
 
-    def first(self, contender: int) -> Mapping[str, Any]:
-        """A first call, on a small problem; its answer is not used."""
-        self._work = (self._contenders[contender], small_problem(), self._fractions)
+    def first(self, contender: int, sparse: bool) -> Mapping[str, Any]:
+        """A first call, on a small problem of dense or sparse columns; its answer is not used."""
+        small = small_problem(sparse=sparse)
+        self._work = (self._contenders[contender], small, self._fractions)
         self._into = ()
         answer = self.solve()
         gc.collect()

@@ -9,7 +9,7 @@ A block is fenced by three backticks. A comment on the line before it may say ho
 `python` blocks of a page share one namespace; `bash` and `console` blocks are run line by line in
 the same folder, `sparsefit ...` without a new process. What stands below a `$ command` of a console
 block, or in an `output` block below a python block, must be what is printed, `...` being anything.
-A block with `:caption: NAME` is written to that file.
+A block with `:caption: NAME` is written to that file; a `{literalinclude}` is the file it includes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sparsefit.cli import main
 
 BLOCK = re.compile(
     r"(?:^<!-- (?P<word>slow|needs|not run)(?:: (?P<what>.*))? -->\n+)?"
-    r"^```(?!`)(?:\{code-block\} )?(?P<language>\S*).*\n"
+    r"^```(?!`)(?:\{code-block\} )?(?P<language>\S*) *(?P<more>.*)\n"
     r"(?P<options>(?::\w+: .*\n)*)\n?(?P<text>(?:.*\n)*?)^```$",
     re.MULTILINE,
 )
@@ -66,6 +66,8 @@ def blocks_of(page: Path) -> list[Block]:
     every, content = [], page.read_text("utf-8")
     for part in BLOCK.finditer(content):
         word, language, text = part["word"], part["language"], part["text"]
+        if language == "{literalinclude}":
+            language, text = "python", (page.parent / part["more"]).read_text("utf-8")
         caption = re.search(r"^:caption: (.*)", part["options"], re.MULTILINE)
         if language == "output" and every:
             every[-1].output = text

@@ -51,7 +51,7 @@ name = "least-squares"
 name = "hostile"
 seconds = 0.02
 """
-LASSO = '[[backends]]\nname = "lasso"\nsolver = ["homotopy", "celer"]\n'
+LASSO = '[[backends]]\nname = "lasso"\nsolver = ["homotopy", "clarabel"]\n'
 
 
 def study_of(folder, kind, count):

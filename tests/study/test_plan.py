@@ -96,7 +96,7 @@ def test_protocols_are_worlds_and_readings_by_what_they_set(tmp_path: Path) -> N
 CALM = '[[protocols]]\nname = "calm"\n'
 FORWARD = '[[protocols]]\nname = "forward, noise"\n"derivative.method" = "forward"\n'
 NOISE = '"flights.velocity_noise" = 0.2\n'
-LABELLED = '[[backends]]\nname = "lasso"\nlabel = "by OSQP"\nsolver = "osqp"\n'
+LABELLED = '[[backends]]\nname = "lasso"\nlabel = "referee"\nsolver = "clarabel"\n'
 
 
 @pytest.mark.parametrize(
@@ -105,8 +105,11 @@ LABELLED = '[[backends]]\nname = "lasso"\nlabel = "by OSQP"\nsolver = "osqp"\n'
         (f"{CALM}{CALM.replace('calm', 'noise')}{NOISE}{FORWARD}{NOISE}", ["lasso", "forward"]),
         (CALM + FORWARD, ["calm", "forward, noise"]),
         ('[sweep]\n"readout.refine" = ["none", "ladder"]', ["refine none", "refine ladder"]),
-        (LABELLED, ["lasso", "by OSQP"]),
-        (LABELLED.replace("by OSQP", "lasso"), ["lasso solver=homotopy", "lasso solver=osqp"]),
+        (LABELLED, ["lasso", "referee"]),
+        (
+            LABELLED.replace("referee", "lasso"),
+            [f"lasso solver={n}" for n in ("homotopy", "clarabel")],
+        ),
     ],
 )
 def test_a_title_is_the_shortest_name_that_tells_it_apart(tmp_path: Path, text, titles) -> None:

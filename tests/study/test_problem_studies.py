@@ -26,6 +26,7 @@ from sparsefit.study.worker import cpu_seconds
 from tests.study import solver_deeds
 from tests.study.small_study import CORRELATED, PROBLEMS
 
+PUBLIC = Path(__file__).parents[2] / "studies/solvers/public_solvers.py"
 PLAIN = '[[solvers]]\nname = "plain"\nfile = "deeds.py"\n'
 
 
@@ -142,6 +143,35 @@ def test_a_command_is_neither_charged_nor_ended_for_its_start(tmp_path):
     assert (stuck["status"], stuck["reason"]) == ("timeout", words)
 
 
+COMPILED = """
+import time
+from dataclasses import dataclass
+import numpy as np
+SEEN = set()
+
+@dataclass(frozen=True)
+class Compiled:
+    name = "compiled"
+    compiles = True
+
+    def path(self, design, target, penalty, alphas, tolerance):
+        time.sleep(0.0 if design.kind in SEEN else 1.0)
+        SEEN.add(design.kind)
+        return np.zeros((len(alphas), design.shape[1], target.shape[1]))
+"""
+
+
+def test_a_first_call_that_compiles_is_not_charged_on_dense_nor_on_sparse_columns(tmp_path):
+    (tmp_path / "mine.py").write_text(COMPILED)
+    text = PROBLEMS.replace('"problems"', '"solvers"').replace("limit = 5.0", "limit = 0.9")
+    sparse = '[[problems]]\ngenerator = "sparse"\nsamples = 60\ncolumns = 8\nsupport = 2\n'
+    text += f'{CORRELATED}{sparse}density = 0.5\n[[solvers]]\nfile = "mine.py"\n'
+    study = load(tmp_path, f'{text}[[backends]]\nname = "lasso"\nsolver = "compiled"\n')
+    study.run()
+    assert study.cases["status"].tolist() == ["inaccurate", "inaccurate"]
+    assert (study.cases["wall"] < 0.9).all()
+
+
 def test_problems_are_judged_by_held_out_rows_and_truth(own):
     cases = own.cases[own.cases["solver"] == "homotopy"].set_index("problem")
     row = cases.loc["a"]
@@ -173,7 +203,7 @@ def test_the_winner_is_a_call(own, capsys, tmp_path):
 
 
 def test_the_winner_of_single_fits_is_a_call_with_its_penalty(tmp_path):
-    lasso = '[[backends]]\nname = "lasso"\nalpha_fraction = [0.3, 0.01]\nsolver = "celer"\n'
+    lasso = '[[backends]]\nname = "lasso"\nalpha_fraction = [0.3, 0.01]\nsolver = "clarabel"\n'
     study = load(
         tmp_path, PROBLEMS.replace("[path]\npoints = 4\nlowest = 0.1\n", "") + CORRELATED + lasso
     )
@@ -316,17 +346,19 @@ def test_what_is_no_problem_is_refused_by_key(tmp_path, text, said):
     ("text", "said"),
     [
         ('name = "lasso"\nsolver = "celr"', 'did you mean "celer"?'),
+        ('name = "lasso"\n[[solvers]]\nfile = "deeds.py"', "one file without a name"),
         ('name = "laso"', 'did you mean "lasso"?'),
-        ('name = "least-squares"\nsolver = "celer"', "has no penalty"),
+        ('name = "least-squares"\nsolver = "clarabel"', "has no penalty"),
         ('name = "lasso"\nalpha_fraction = 0.1', "[path] sets the penalties"),
         ('name = "lasso"\nsolver = ["homotopy", "homotopy"]', "twice"),
-        ('name = "lasso"\nsolver = "celer"\ncertified = true', "exact path of sparsefit"),
+        ('name = "lasso"\nsolver = "clarabel"\ncertified = true', "exact path of sparsefit"),
         ('name = "elastic-net"\nsolver = "plain"', "no ridge"),
     ],
 )
 def test_what_is_no_contender_is_refused_by_key(tmp_path, text, said):
     shutil.copy(solver_deeds.__file__, tmp_path / "deeds.py")
-    assert said in refusal(tmp_path, f"{PROBLEMS}{CORRELATED}{PLAIN}[[backends]]\n{text}\n")
+    solvers = f'{PLAIN}[[solvers]]\nfile = "{PUBLIC}"\n'
+    assert said in refusal(tmp_path, f"{PROBLEMS}{CORRELATED}{solvers}[[backends]]\n{text}\n")
 
 
 @pytest.mark.parametrize("name", DATASETS)
