@@ -63,7 +63,9 @@ def matrix_of(design: Design) -> Any:
     """
     unscaled = bool(np.all(np.abs(design.rms - 1.0) <= 1e-13))
     if design.kind == "sparse" and design.direction is None:
-        return design.csc if unscaled else (design.csc @ sparse.diags(1.0 / design.rms)).tocsc()
+        return (
+            design.csc if unscaled else (design.csc @ sparse.diags_array(1.0 / design.rms)).tocsc()
+        )
     if unscaled and design.in_memory and design.weights is None and design.direction is None:
         return np.asfortranarray(design.source)
     return design.columns(np.arange(design.shape[1]))
@@ -119,7 +121,7 @@ class Task:
         matrix = matrix if len(live) == columns else matrix[:, live]
         if np.any(omega != 1.0):
             is_array = isinstance(matrix, np.ndarray)
-            scaled = matrix / omega if is_array else matrix @ sparse.diags(1.0 / omega)
+            scaled = matrix / omega if is_array else matrix @ sparse.diags_array(1.0 / omega)
             matrix = np.asfortranarray(scaled) if is_array else scaled.tocsc()
         if dense and not isinstance(matrix, np.ndarray):
             matrix = matrix.toarray(order="F")

@@ -148,10 +148,10 @@ def _cone_program(
         places.append(np.concatenate([np.arange(size * targets), bound])[order])
         cones += [clarabel.SecondOrderConeT(1 + int(each)) for each in np.bincount(block)]
     variables, columns = sum(map(len, prices)), np.concatenate(places)
-    bounds = sparse.csc_matrix((variables - size * targets - count,) * 2)
+    bounds = sparse.csc_array((variables - size * targets - count,) * 2)
     parts: list[Any] = [*[square] * targets, sparse.eye_array(count), bounds]
     quadratic = sparse.triu(sparse.block_diag(parts), format="csc")
-    residual: Any = sparse.block_diag([*[rows] * targets])
+    residual: Any = sparse.block_diag([sparse.csc_array(rows)] * targets)
     blank = sparse.coo_array((count, variables - size * targets - count))
     ones = (-np.ones(len(columns)), (np.arange(len(columns)), columns))
     cone = sparse.coo_array(ones, shape=(len(columns), variables))

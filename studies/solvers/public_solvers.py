@@ -363,7 +363,6 @@ class Osqp(Cvxpy):
 
     name = "osqp"
     package = "osqp"
-    extra = EXTRA
     tolerances = EPS
     more: ClassVar[Mapping[str, Any]] = {"max_iter": 50_000, "polishing": True}
     cones = False

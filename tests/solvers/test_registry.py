@@ -107,7 +107,7 @@ def test_names_settings_and_packages_are_refused_in_a_line(monkeypatch):
     with pytest.raises(InputError, match='"celer"'):
         Recipe("celer").make()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    for name in ("celer", "osqp"):
+    for name in ("celer", "piqp"):
         with pytest.raises(MissingExtra, match=rf"^{name} is not .* 'sparsefit\[peers\]'"):
             solver(name)
     assert "pip install gurobipy" in recipe_of("gurobi").missing
