@@ -151,11 +151,9 @@ def _cone_program(
     bounds = sparse.csc_array((variables - size * targets - count,) * 2)
     parts: list[Any] = [*[square] * targets, sparse.eye_array(count), bounds]
     quadratic = sparse.triu(sparse.block_diag(parts), format="csc")
-    blocks = [
-        *[rows] * targets,
-        sparse.coo_array((0, 0)),
-    ]  # zeros of rows stay, the result an array
-    residual: Any = sparse.block_diag(blocks)
+    # Zeros of the rows stay stored, and the result is an array of scipy.
+    parts = [*[rows] * targets, sparse.coo_array((0, 0))]
+    residual: Any = sparse.block_diag(parts)
     blank = sparse.coo_array((count, variables - size * targets - count))
     ones = (-np.ones(len(columns)), (np.arange(len(columns)), columns))
     cone = sparse.coo_array(ones, shape=(len(columns), variables))
