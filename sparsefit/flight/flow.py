@@ -41,7 +41,7 @@ class Cells(Flow):
 
     @property
     def cells(self) -> tuple[Cells, ...]:
-        """The flow itself."""
+        """The components that are cells, which is this flow alone."""
         return (self,)
 
 

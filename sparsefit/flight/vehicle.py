@@ -134,7 +134,10 @@ class ThrustSeries:
         return np.column_stack([np.interp(sought, self.time, axis) for axis in self.acceleration.T])
 
     def pointwise(self) -> Callable[[float], tuple[float, float]]:
-        """Return the acceleration at one time, on plain floats; constant beyond the ends."""
+        """Return the function of one time [s] that gives (a_x, a_y) [m/s^2], in plain floats.
+
+        It is constant beyond the ends.
+        """
         times, rows = self.time.tolist(), self.acceleration.tolist()
 
         def at(t: float) -> tuple[float, float]:

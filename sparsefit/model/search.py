@@ -155,7 +155,10 @@ class Search:
         return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
 
     def bic(self, fit: ShapeFit, worth: float | None = None) -> float:
-        """N ln RSS + p ln n of a fit, RSS over |Phi|^2."""
+        """The BIC n ln RSS + p ln n of a fit with p parameters, RSS over |Phi|^2.
+
+        worth: the effective number n of rows, by default that of the search.
+        """
         n = worth or self.worth
         share = max(fit.residual / self.rows.square, EXACT)
         return n * math.log(share) + fit.shape.size * math.log(n)

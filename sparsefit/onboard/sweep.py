@@ -218,7 +218,15 @@ class Sweep:
         return True
 
     def fit(self, size: float, angle: float) -> tuple[float, Array]:
-        """Share of the rows' squares that two waves at a right angle explain, and these (6,)."""
+        """The share of the rows' squares that two waves explain, and the waves (6,).
+
+        Args:
+            size: |k| [rad/m] of both, which are at right angles; angle: of the first [rad].
+
+        Returns:
+            The share, and (a, b, c, d, k_x, k_y): the cosine and sine amplitudes [m^2/s] of either
+            wave, and k [rad/m] of the first.
+        """
         place, speed = self.rows
         k, l = size * math.cos(angle), size * math.sin(angle)  # noqa: E741
         share, flow = 0.0, np.array([0.0, 0.0, 0.0, 0.0, k, l])

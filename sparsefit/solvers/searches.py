@@ -75,7 +75,10 @@ class SupportSearch(Checked, ABC):
     most: ClassVar[int] = 64  # steps
 
     def solve(self, problem: RegressionProblem) -> Solution:
-        """Weights on the support that steps from zero find; a target of zeros has none."""
+        """The weights (k, n) after steps from zero until none pays, or after ``most``.
+
+        A target of zeros is unidentifiable.
+        """
         if not problem.target.any():
             return Solution(None, "unidentifiable", f"{self.name}: the target is zero throughout")
         weights, steps = np.zeros((problem.columns, problem.targets)), 0

@@ -201,7 +201,12 @@ def digest_of(path: Path) -> str:
 
 
 def shipping(name: str) -> Any:
-    """`sklearn.datasets`, which a data set ships with. Raises as `read_public`."""
+    """The module `sklearn.datasets`, with which the data set of that name ships.
+
+    Raises:
+        InputError: for an unknown name, with the nearest.
+        MissingExtra: if scikit-learn is not installed.
+    """
     one_of("data set", name, DATASETS)
     return optional("sklearn.datasets", f'data set "{name}" ships with scikit-learn', "peers")
 
