@@ -54,6 +54,7 @@ class TestPage:
         text = page.write(made)[-1].read_text()
         assert len(text.split()) <= 800
         assert "more rows in the [CSV file](status.csv)" in text
+        assert "failures included. Dashed: 5 %.*" in text
 
     def test_the_verdict_stands_in_front(self, tmp_path):
         cases = frame(*(solve(f"p{n}", name, 0.1) for n in range(5) for name in ("a", "b")))
