@@ -150,7 +150,7 @@ def columns_of(path: Path, target: Sequence[str]) -> list[str]:
 def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
     """The names of the columns of a table, and those in ``order`` (m, k), read in batches."""
     import pyarrow
-    from pyarrow import csv, parquet
+    from pyarrow import csv, parquet, types
 
     real, parts, count = pyarrow.float64(), [np.empty((0, len(order)))], 0
     with regular_file(path, most=MOST_BYTES) as file, _refused(path):
@@ -167,6 +167,12 @@ def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
         else:
             source = parquet.ParquetFile(path)
             names, batches = source.schema_arrow.names, source.iter_batches()
+            _check_size(path, source.metadata.num_rows * len(names))
+            numbers = types.is_integer, types.is_floating, types.is_boolean, types.is_decimal
+            for name in order:  # a text or a list may unpack to anything
+                kind = source.schema_arrow.field(name).type
+                if not any(each(kind) for each in numbers):
+                    raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
         for batch in batches if order else ():
             count += batch.num_rows * len(names)
             _check_size(path, count)

@@ -33,7 +33,7 @@ Record = TypeVar("Record")
 Section: TypeAlias = Mapping[str, object]
 LARGEST = 1_000_000  # bytes of a study file, which are parsed within a second
 DEEPEST = 32  # tables and lists in one another
-KEY = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+KEY = r"""(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 LONG_KEY = re.compile(rf"{KEY}(?:[ \t]*+\.[ \t]*+{KEY}){{{DEEPEST},}}+")
 LONG_NUMBER = re.compile(r"[\da-fA-F_]{301}")  # no number that anything is computed with
 

@@ -261,8 +261,9 @@ def test_what_no_estimator_can_combine_is_refused_before_the_first_case(
         ("x = " + "[" * 100_000, "nested too deeply"),
         ("x = " + "{ a = " * 500 + "1" + " }" * 500, "nested too deeply"),
         ("# " + "x" * 2_000_000, "more than 1 MB"),
+        ("x = " + "9" * 900_000, "more than 300 digits"),
     ],
-    ids=("key", "header", "inline", "list", "open", "tables", "size"),
+    ids=("key", "header", "inline", "list", "open", "tables", "size", "word"),
 )
 def test_bombs_are_refused_in_bounded_time(tmp_path: Path, bomb: str, said: str) -> None:
     (tmp_path / "x.toml").write_text(bomb, encoding="utf-8")

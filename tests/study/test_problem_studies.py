@@ -217,6 +217,9 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
     frame["drag"] = 5.0 + frame["a"] - 2.0 * frame["b"]
     frame.iloc[:30].to_csv(tmp_path / "x.csv", index=False, sep=";")
     frame.iloc[30:, ::-1].to_parquet(tmp_path / "later.parquet")
+    frame.astype(str).to_parquet(tmp_path / "texts.parquet")
+    with pytest.raises(InputError, match=r"a holds (large_)?string, and only numbers are read"):
+        read_data(tmp_path / "texts.parquet", ("drag",))
     keys = 'file = "x.csv"\ntest = "later.parquet"\nintercept = true\n'
     lasso = '[[backends]]\nname = "lasso"\n'
     entry = f'{PROBLEMS}{lasso}[[problems]]\n{keys}target = ["drag", "lift"]\n'

@@ -254,20 +254,19 @@ def test_a_pipe_or_a_link_in_a_file_s_place_is_not_waited_for(copied, name):
 def test_a_full_disk_and_a_lost_folder_are_told_in_a_line(copied):
     import resource
 
-    study = copied
-    row = Store.read(study.folder, study.planned).rows()[0]
+    row = Store.read(copied.folder, copied.planned).rows()[0]
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
     def fill():
-        with Store.opened(study.folder, study.planned) as store:
+        with Store.opened(copied.folder, copied.planned) as store:
             resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
             for number in range(500):
                 store.put_row(type(row)(f"x{number}", "ok", "", "", row.body))
 
     def lose():
-        with Store.opened(study.folder, study.planned) as store:
-            (study.folder / STORE).unlink()
+        with Store.opened(copied.folder, copied.planned) as store:
+            (copied.folder / STORE).unlink()
             store.sync()
 
     try:
@@ -277,7 +276,7 @@ def test_a_full_disk_and_a_lost_folder_are_told_in_a_line(copied):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, before)
     assert "\n" not in str(caught.value)
-    assert study.status().done == 18
+    assert copied.status().done == 18
     with pytest.raises(InputError, match="removed during the run"):
         lose()
 
@@ -347,22 +346,21 @@ def test_words_change_no_version():
 
 
 def test_latency_and_variants_of_candidates(copied):
-    study = copied
-    candidate = study.plan()["candidate"].iloc[-1]
-    (latency,) = study.latency([candidate], 10).values()
+    candidate = copied.plan()["candidate"].iloc[-1]
+    (latency,) = copied.latency([candidate], 10).values()
     assert 0.0 < latency.median <= latency.p99 < 10.0
     assert latency.memory > 10.0
-    assert study.latencies == {candidate: latency}
-    assert study.latency([candidate], 10) == {candidate: latency}
-    fresh = study.variant([candidate], 2)
+    assert copied.latencies == {candidate: latency}
+    assert copied.latency([candidate], 10) == {candidate: latency}
+    fresh = copied.variant([candidate], 2)
     assert fresh.plan()["candidate"].unique().tolist() == [candidate]
-    assert fresh.seed != study.seed
-    assert study.estimator(candidate).backend.name == "least-squares"
-    again = study.again(study.plan()["case_id"][0])
-    row = study.cases.iloc[0]
+    assert fresh.seed != copied.seed
+    assert copied.estimator(candidate).backend.name == "least-squares"
+    again = copied.again(copied.plan()["case_id"][0])
+    row = copied.cases.iloc[0]
     assert again.values["est_length_scale"] == row["est_length_scale"]
     with pytest.raises(InputError, match=r"plans no case .*; try 0000-"):
-        study.again("0000-1")
+        copied.again("0000-1")
 
 
 @pytest.mark.slow

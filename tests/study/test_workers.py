@@ -33,10 +33,7 @@ def test_a_file_of_the_users_folder_stands_before_nothing_of_python(tmp_path, mo
         ("exit", "ended with exit code 3"),
         ("raise", "ZeroDivisionError: one two"),
         ("hang-native", "took longer than 2 s"),
-        *(
-            (deed, "channel of its process was written into")
-            for deed in ("empty", "odd", "scribble")
-        ),
+        *((deed, "channel of its process was written") for deed in ("empty", "odd", "scribble")),
     ],
 )
 def test_a_call_that_fails_is_told_in_a_line(deed, words):
