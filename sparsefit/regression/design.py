@@ -18,6 +18,7 @@ largest ratio of the two.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from hashlib import blake2b
@@ -261,12 +262,16 @@ class Design:
 
     @cached_property
     def gram(self) -> Array:
-        """Z'Z/m (k, k), read-only. Raises InputError where it does not fit in memory."""
+        """Z'Z/m (k, k), read-only. Raises InputError where half of the memory is less."""
+        size = 8 * self.shape[1] ** 2
         try:
+            if size > 0.5 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
+                raise MemoryError
             gram = self.products(slice(None))
         except MemoryError:
-            k = self.shape[1]
-            words = f"Z'Z of {k} columns takes {k * k / 2**27:.1f} GiB, more than is free"
+            words = (
+                f"Z'Z of {self.shape[1]} columns takes {size / 2**30:.1f} GiB, more than is free"
+            )
             raise InputError(f"{words}: use fewer columns") from None
         gram.setflags(write=False)
         return gram

@@ -3,7 +3,9 @@
 Each iteration of STLSQ (Brunton, Proctor and Kutz 2016, after PySINDy 2.1), for each target on its
 own support S: w = (X_S'X_S + ridge I)^-1 X_S'y, then columns with |w| < threshold leave for good.
 It stops when nothing has ever left, or when the last two supports agree for all targets.
-``unbias``: a last ordinary least squares on the support. `PySindy` is that of PySINDy itself.
+``unbias``: a last ordinary least squares on the support. Supports of many sparse columns, of which
+X_S'X_S has more entries than X, are solved by conjugate gradients. `PySindy` is that of PySINDy
+itself.
 """
 
 from dataclasses import dataclass
@@ -15,12 +17,13 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.errors import MissingExtra
+from sparsefit.errors import InputError, MissingExtra
 from sparsefit.regression.backend import Checked, Solution, heard, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
 
 FEW = 2000  # columns, whose Z'Z is formed once for every support
+GRADIENTS, EXACT = 2000, 1e-13  # conjugate gradients at most, and what they leave of |Z'Y|
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,14 @@ class STLSQ(Checked):
             # estimate.
             safe = ridge[on].min() > 2.0 * floor * size * np.sqrt(len(on))
             design, right = problem.design, problem.target[:, targets]
+            if _is_iterated(problem, len(on)):
+                values[np.ix_(on, targets)] = _by_gradients(problem, on, targets, ridge[on])
+                continue
+            if not safe and len(on) > max(FEW, len(right)):
+                words = (
+                    f"stlsq: a ridge of {self.ridge:g} is lost to rounding beside {len(on)} columns"
+                )
+                raise InputError(f"{words} of {len(right)} samples: raise it, or use lasso")
             if safe and len(on) > len(right) and design.in_memory:
                 columns = design.columns(on)  # D^-1 Z'(Z D^-1 Z'/m + I)^-1 Y/m of Z (m, k)
                 square = (columns / ridge[on]) @ columns.T / problem.samples
@@ -181,6 +192,10 @@ class STLSQ(Checked):
         weights = np.zeros(support.shape)
         for t in np.flatnonzero(support.any(axis=0)):
             on = np.flatnonzero(support[:, t])
+            if _is_iterated(problem, len(on)):
+                value = _by_gradients(problem, on, np.array([t]), np.zeros(len(on)))[:, 0]
+                weights[on, t] = value / design.rms[on]
+                continue
             columns, target = design.columns(on), problem.target[:, t]
             factor, failed = None, len(on) > problem.samples
             if not failed:
@@ -196,6 +211,46 @@ class STLSQ(Checked):
                     value = value + dpotrs(factor, gradient, lower=1)[0]
             weights[on, t] = value / design.rms[on]
         return weights
+
+
+def _is_iterated(problem: RegressionProblem, count: int) -> bool:
+    """Whether Z'Z of so many columns would be larger than the columns, which are in no array."""
+    design = problem.design
+    return (
+        count > FEW
+        and not design.in_memory
+        and (design.kind == "sparse" or count > problem.samples)
+    )
+
+
+def _by_gradients(
+    problem: RegressionProblem, on: IntArray, targets: IntArray, ridge: Array
+) -> Array:
+    """V (j, t) of (Z_J'Z_J/m + D) V = Z_J'Y/m by conjugate gradients from zero, D = diag(ridge).
+
+    Without a ridge, of the solutions that of least norm. Raises InputError where columns are so
+    alike that these do not converge.
+    """
+    values, scale = np.zeros((problem.columns, len(targets))), 1.0 / (1.0 + ridge)[:, None]
+    rest = problem.cross[np.ix_(on, targets)]
+    direction, stop = scale * rest, EXACT * np.abs(rest).max(axis=0)
+    square = np.sum(rest * direction, axis=0)
+    for _ in range(GRADIENTS):
+        if np.all(np.abs(rest).max(axis=0) <= stop):
+            return values[on]
+        whole = np.zeros(values.shape)
+        whole[on] = direction
+        image = problem.design.correlate(problem.design.predict(whole))[on]
+        image += ridge[:, None] * direction
+        curvature = np.sum(direction * image, axis=0)
+        length = np.divide(square, curvature, out=np.zeros(len(targets)), where=curvature > 0.0)
+        values[on] += length * direction
+        rest = rest - length * image
+        before, square = square, np.sum(scale * rest**2, axis=0)
+        share = np.divide(square, before, out=np.zeros(len(targets)), where=before > 0.0)
+        direction = scale * rest + share * direction
+    words = f"stlsq: {len(on)} of the columns are too alike for {GRADIENTS} conjugate gradients"
+    raise InputError(f"{words}: raise its ridge or its threshold, or use lasso")
 
 
 def _products(problem: RegressionProblem, on: IntArray) -> Array:

@@ -22,19 +22,22 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
+from sparsefit.regression.design import Design
 from sparsefit.regression.problem import RegressionProblem
+
+FEW = 2000  # columns whose products are formed at once
 
 
 def explained(problem: RegressionProblem, weights: Array | None = None) -> Array:
     """|P_g R|^2 / m (g,): the mean square of R = Y - theta W that each group alone explains.
 
-    From Z'Z/m and Z'R/m, groups of one size in one batch; from the rows where Z'Z has lost a
-    group's rank.
+    From Z_g'Z_g/m and Z'R/m, groups of one size in one batch; from the rows where Z_g'Z_g has lost
+    a group's rank.
     """
-    gram, cross, residual = problem.design.gram, problem.cross, problem.target
+    cross, residual = problem.cross, problem.target
     if weights is not None:
-        cross = cross - gram @ (weights * problem.design.rms[:, None])
         residual = residual - problem.design.raw_predict(weights)
+        cross = problem.design.correlate(residual)
     order = np.argsort(problem.groups, kind="stable")
     sizes = np.bincount(problem.groups)
     starts = np.cumsum(sizes) - sizes
@@ -42,7 +45,7 @@ def explained(problem: RegressionProblem, weights: Array | None = None) -> Array
     for size in np.unique(sizes):
         chosen = np.flatnonzero(sizes == size)
         index = order[starts[chosen][:, None] + np.arange(size)]
-        roots, vectors = np.linalg.eigh(gram[index[:, :, None], index[:, None, :]])
+        roots, vectors = np.linalg.eigh(_products(problem.design, index))
         load = np.sum((vectors.transpose(0, 2, 1) @ cross[index]) ** 2, axis=2)
         sound = roots > 1e-9 * roots[:, -1:]
         gains[chosen] = np.sum(np.where(sound, load / np.where(sound, roots, 1.0), 0.0), axis=1)
@@ -52,6 +55,18 @@ def explained(problem: RegressionProblem, weights: Array | None = None) -> Array
             spanned = left[:, values > np.finfo(float).eps * max(z.shape) * values[0]].T @ residual
             gains[chosen[i]] = float(np.sum(spanned**2)) / problem.samples
     return gains
+
+
+def _products(design: Design, index: IntArray) -> Array:
+    """Z_g'Z_g/m (g, c, c) of the columns (g, c) of groups; Z'Z of few columns is formed once."""
+    if design.shape[1] <= FEW:
+        return design.gram[index[:, :, None], index[:, None, :]]
+    products, step = np.empty((*index.shape, index.shape[1])), max(FEW // index.shape[1], 1)
+    for start in range(0, len(index), step):
+        part = index[start : start + step]
+        columns = design.columns(part.ravel()).T.reshape(*part.shape, -1)
+        products[start : start + step] = columns @ columns.transpose(0, 2, 1) / design.samples
+    return products
 
 
 def fit_on(problem: RegressionProblem, groups: ArrayLike) -> tuple[Array, float]:
