@@ -158,6 +158,10 @@ def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
             head = file.readline(LONGEST_LINE).decode("utf-8-sig")
             between = max(",;\t", key=head.count)
             (names,) = reader([head], delimiter=between)
+            lines = 0
+            while block := file.read(LONGEST_LINE):  # before any is unpacked
+                lines += max(block.count(b"\n"), block.count(b"\r"))
+                _check_size(path, lines * len(names))
             batches = csv.open_csv(
                 path,  # read ahead in a thread, in which a file of Python may not outlive its end
                 csv.ReadOptions(block_size=LONGEST_LINE),  # which no line is longer than
@@ -166,11 +170,12 @@ def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
             )
         else:
             source = parquet.ParquetFile(path)
-            names, batches = source.schema_arrow.names, source.iter_batches()
+            schema, batches = source.schema_arrow, source.iter_batches()
+            names = schema.names
             _check_size(path, source.metadata.num_rows * len(names))
             numbers = types.is_integer, types.is_floating, types.is_boolean, types.is_decimal
             for name in order:  # a text or a list may unpack to anything
-                kind = source.schema_arrow.field(name).type
+                kind = schema.field(name).type
                 if not any(each(kind) for each in numbers):
                     raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
         for batch in batches if order else ():
