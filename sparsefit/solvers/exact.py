@@ -53,6 +53,8 @@ AHEAD = 8  # penalties that are solved before the columns outside are tested
 NEAR = 0.1  # groups whose dual norm exceeds (1 - NEAR) alpha join with those that violate
 FEASIBLE = 3e-10  # relative excess of a dual norm over alpha that counts as rounding
 STORED = 2**25  # entries of Z_J, at most, of which a dense copy is stored
+SMALL = 2**22  # m k of sparse columns, at most, that are stored dense
+SMALL_CLUSTERS = 2**16  # for cluster descent, whose sparse steps are cheap
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,8 +223,11 @@ def _with_working_set(
         pull = np.abs(cross).max(axis=1)
     start = START if k > FEW else START // 8
     index = _leading(penalty.units, np.argsort(-pull, kind="stable"), start)
-    # Sparse columns stay so.
-    store = None if design.kind == "sparse" else np.empty((min(k, STORED // m), m))
+    # Sparse columns stay so, but few entries are faster dense.
+    stays = design.kind == "sparse" and m * k > (
+        SMALL_CLUSTERS if name == "cluster descent" else SMALL
+    )
+    store = None if stays else np.empty((min(k, STORED // m), m))
     whole = store is not None and len(store) == k
     rotations = () if name == "variational" and whole and k > FEW else None
     working = WorkingSet(
@@ -235,7 +240,7 @@ def _with_working_set(
             size = len(working.index) + len(new)
             if rotations is not None and 3 * size > m:
                 name = "block descent"
-            working = working.extended(new, cross, _by_gram(design, name, size, whole))
+            working = working.extended(new, cross, _by_gram(design, name, size, whole, stays))
         here = alphas[done : done + AHEAD]
         is_rough = not is_settled and name not in ("homotopy", "variational")
         goal = DESCENDED if name == "block descent" else STOP
@@ -254,13 +259,13 @@ def _with_working_set(
     return replace(points, words=f"{name}, {len(working.index)} columns in play")
 
 
-def _by_gram(design: Design, name: str, size: int, whole: bool) -> bool:
+def _by_gram(design: Design, name: str, size: int, whole: bool, stays: bool) -> bool:
     """Whether a kernel takes Z_J'Z_J of a working set of that size, or else Z_J.
 
-    whole: whether a dense Z_J is stored, of however many columns.
+    whole: whether a dense Z_J is stored, of however many columns; stays: whether it is sparse.
     """
     if name == "cluster descent":
-        return design.kind != "sparse" or design.direction is not None or design.csc.nnz >= 2**31
+        return not stays or design.direction is not None or design.csc.nnz >= 2**31
     few = {"block descent": design.shape[0] // 4, "newton": design.shape[0]}
     return not whole or size <= few.get(name, size)
 

@@ -179,6 +179,7 @@ def test_sparse_clusters_are_descended_in_their_columns_to_the_optimum(most, mon
     alphas = float(penalty.dual_norm(design.correlate(target)).max()) * np.geomspace(0.9, 0.05, 6)
     whole = exact.exact_path(Design(theta.toarray(), 90), target, penalty, alphas)
     monkeypatch.setattr(kernels, "CLUSTERED", most)
+    monkeypatch.setattr(exact, "SMALL_CLUSTERS", 0)
     monkeypatch.setattr(Design, "products", None)
     points = exact.exact_path(design, target, penalty, alphas)
     assert points.complete.all()
