@@ -9,7 +9,7 @@ A block is fenced by three backticks. A comment on the line before it may say ho
 `python` blocks of a page share one namespace; `bash` and `console` blocks are run line by line in
 the same folder, `sparsefit ...` without a new process. What stands below a `$ command` of a console
 block, or in an `output` block below a python block, must be what is printed, `...` being anything.
-A block with `:caption: NAME` is written to that file; a `{literalinclude}` is the file it includes.
+A block with `:caption: NAME` is written to that file, of a `{literalinclude}` what it includes.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ def blocks_of(page: Path) -> list[Block]:
     every, content = [], page.read_text("utf-8")
     for part in BLOCK.finditer(content):
         word, language, text = part["word"], part["language"], part["text"]
-        if language == "{literalinclude}":
-            language, text = "python", (page.parent / part["more"]).read_text("utf-8")
         caption = re.search(r"^:caption: (.*)", part["options"], re.MULTILINE)
+        if caption and language == "{literalinclude}":
+            language, text = "python", (page.parent / part["more"]).read_text("utf-8")
         if language == "output" and every:
             every[-1].output = text
         elif word != "not run" and (language in LANGUAGES or (caption and "{" not in language)):
