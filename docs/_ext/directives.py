@@ -32,8 +32,8 @@ from sphinx.util.docutils import SphinxDirective
 from sparsefit import backends
 from sparsefit.cli import parser
 from sparsefit.study import crossing, entries, figures, keys, measures, tables
+from sparsefit.study.measures import SUMMARY_NAMES
 from sparsefit.study.quantities import QUANTITIES, FlightWords
-from sparsefit.study.resampling import SUMMARY_NAMES
 from sparsefit.study.schema import described, sentences
 
 DOCS = Path(__file__).parents[1]

@@ -21,9 +21,8 @@ from sparsefit.plot.style import COLOURS, GREY, styled, with_unit, wrapped
 from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text, unit_of
-from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers
+from sparsefit.study.measures import SYMBOLS, UNITS, Measure, answered, measure, numbers, wilson
 from sparsefit.study.panels import LOG_RANGE, Curve, Panel, Ranks, drawn
-from sparsefit.study.resampling import wilson
 from sparsefit.study.table import listed, sentence
 
 if TYPE_CHECKING:

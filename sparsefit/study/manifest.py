@@ -29,7 +29,7 @@ MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
 STUDY = (  # files of `study/` that no number of a case depends on
     *("__init__", "compare", "entries", "evidence", "figures"),
-    *("latency", "measures", "page", "panels", "pool", "resampling", "runner"),
+    *("latency", "measures", "page", "panels", "runner"),
     *("selection", "solver_times", "store", "study", "table", "tables", "trials"),
 )
 # No number of a case depends on these: they run, store and show.

@@ -11,7 +11,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.plot import style
 from sparsefit.plot.style import COLOURS, GREY, MARKERS, STYLES
-from sparsefit.study.resampling import TINY
+from sparsefit.study.measures import TINY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

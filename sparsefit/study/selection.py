@@ -18,13 +18,13 @@ import numpy as np
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures
 from sparsefit.study.entries import factor_words
-from sparsefit.study.measures import factors
-from sparsefit.study.resampling import ROUNDING, Difference
+from sparsefit.study.measures import ROUNDING, factors
 from sparsefit.study.table import listed, significant
 from sparsefit.study.trials import (
     LIMITS,
     Breach,
     Criterion,
+    Difference,
     Trials,
     limit_text,
     regimes_of,

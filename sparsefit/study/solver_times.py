@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sparsefit.study.resampling import ratio
+from sparsefit.arrays import Array
+from sparsefit.study.measures import interval, mean, pooled
 from sparsefit.study.table import Column, Row, Table, Value, significant
 
 if TYPE_CHECKING:
@@ -54,6 +55,19 @@ def times_to(cases: pd.DataFrame, accuracy: float) -> dict[str, pd.DataFrame]:
         order = np.log(best.clip(upper=1e6)).mean().sort_values(kind="stable").index
         every[str(objective)] = best[order]
     return every
+
+
+def ratio(numerator: Array, denominator: Array) -> tuple[float, float, float]:
+    """Return the geometric mean of paired ratios (n,) and its 95 % interval over the pairs.
+
+    Pairs with a value that is not finite are excluded; with fewer than five the interval is NaN.
+    """
+    logs = np.log(numerator) - np.log(denominator)
+    logs = logs[np.isfinite(logs)]
+    if not len(logs):
+        return math.nan, math.nan, math.nan
+    low, high = interval(pooled(mean), logs[:, None]) if len(logs) >= 5 else (math.nan, math.nan)
+    return math.exp(logs.mean()), math.exp(low), math.exp(high)
 
 
 def is_race(cases: pd.DataFrame) -> bool:

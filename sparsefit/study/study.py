@@ -36,9 +36,8 @@ from sparsefit.study.plan import (
     definition_of,
     read_definition,
 )
-from sparsefit.study.pool import outcomes
 from sparsefit.study.problem_experiment import ProblemExperiment
-from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, run
+from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, outcomes, run
 from sparsefit.study.store import Store, cases_table, read_cases
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
-from sparsefit.study import entries, measures, resampling, solver_times
+from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
 from sparsefit.study.measures import MEASURES, SYMBOLS, Measure
@@ -46,11 +46,11 @@ class Part(NamedTuple):
             return [int(here.sum())]
         if not self.interval:
             return [each.summary_of(here)]
-        grid = resampling.by_unit(here, cases["flight"].iloc[places])
+        grid = measures.by_unit(here, cases["flight"].iloc[places])
         if each.summary == "share" and grid.shape[1] == 1:
-            ends = resampling.wilson(np.nansum(here), (~np.isnan(here)).sum())
+            ends = measures.wilson(np.nansum(here), (~np.isnan(here)).sum())
         else:
-            ends = resampling.interval(resampling.pooled(each.reduce), grid)
+            ends = measures.interval(measures.pooled(each.reduce), grid)
         return [each.summary_of(here), *ends]
 
 
@@ -136,7 +136,7 @@ def settings(entry: Entry, cases: pd.DataFrame) -> Table:
             parts.append(Part(of_level, here, each, entry.interval))
     notes = [FAILURES] if any(each.miss is not None for each in entry.measures) else []
     if entry.interval:
-        drawn = f"From, to: 95 %, by {resampling.RESAMPLES} draws of whole {unit_of(cases)}s"
+        drawn = f"From, to: 95 %, by {measures.RESAMPLES} draws of whole {unit_of(cases)}s"
         notes.append(f"{drawn}; a share of single cases: Wilson's.")
     return summarised(entry, cases, names, parts, *notes)
 

@@ -14,9 +14,8 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.study import measures, resampling
-from sparsefit.study.measures import Measure
-from sparsefit.study.resampling import ROUNDING, Difference, ends, mean
+from sparsefit.study import measures
+from sparsefit.study.measures import ROUNDING, Measure, ends, mean, resampled
 from sparsefit.study.table import significant
 
 if TYPE_CHECKING:
@@ -104,6 +103,24 @@ def limit_text(constraint: str, value: float) -> str:
     return f"{significant(factor * value)} {unit}"
 
 
+@dataclass(frozen=True)
+class Difference:
+    """A difference with its 95 % interval.
+
+    identical: whether both candidates have equal values, to rounding, in every case.
+    """
+
+    effect: float
+    low: float
+    high: float
+    identical: bool = False
+
+    @property
+    def tie(self) -> bool:
+        """Whether the interval contains 0; for a single unit, whether the values are identical."""
+        return self.identical or self.low <= 0.0 <= self.high
+
+
 class Trials:
     """The cases of a split as a grid (candidates, units, regimes, cases).
 
@@ -139,12 +156,10 @@ class Trials:
             raise InputError(f"{first} was not tried on {words} (sparsefit study run)")
         self.loss = criterion.loss(self.values)
 
-        def resampled(own: Array) -> Array:
-            return resampling.resampled(
-                lambda at: criterion.loss(own[at]), len(own), own[0].size, seed
-            )
+        def drawn(own: Array) -> Array:
+            return resampled(lambda at: criterion.loss(own[at]), len(own), own[0].size, seed)
 
-        self.drawn = np.array([resampled(own) for own in self.values])
+        self.drawn = np.array(list(map(drawn, self.values)))
 
     def grid(self, values: Array) -> Array:
         """Return values (rows,) as a grid, NaN where a regime has fewer cases."""
@@ -186,7 +201,7 @@ class Trials:
         def by_regime(values: Array) -> Array:
             return pooled_regimes(self.grid(values))
 
-        largest = resampling.quantile(by_regime(error), 0.95)
+        largest = measures.quantile(by_regime(error), 0.95)
         is_flown = (by_regime(flown.astype(float)) > 0).any(axis=-1)
         values = {
             "max_failure": mean(by_regime(measures.only(flown, ~measures.answered(cases)))),

@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from sparsefit.errors import InputError
-from sparsefit.study import resampling
-from sparsefit.study.measures import MEASURES, measure
-from sparsefit.study.resampling import interval, mean, quantile, ratio, resampled, wilson
+from sparsefit.study import measures
+from sparsefit.study.measures import MEASURES, interval, mean, measure, quantile, resampled, wilson
+from sparsefit.study.solver_times import ratio
 from tests.study.frames import TRUE, case, frame
 
 
@@ -112,21 +112,21 @@ VALUES = RNG.exponential(2.0, (4, 9))
 PLAIN = {
     "mean": np.mean,
     "value": np.mean,
-    "geometric mean": lambda row: stats.gmean(np.maximum(row, resampling.TINY)),
+    "geometric mean": lambda row: stats.gmean(np.maximum(row, measures.TINY)),
     "rms": lambda row: math.sqrt(np.mean(row**2)),
     "share": lambda row: 100.0 * np.mean(row),
     "largest": np.max,
 }
-MEAN = resampling.pooled(mean)
+MEAN = measures.pooled(mean)
 
 
-@pytest.mark.parametrize("name", resampling.SUMMARIES)
+@pytest.mark.parametrize("name", measures.SUMMARIES)
 def test_summaries_by_their_definitions(name):
     values = np.floor(VALUES)
-    assert resampling.SUMMARIES[name](values) == pytest.approx([PLAIN[name](row) for row in values])
+    assert measures.SUMMARIES[name](values) == pytest.approx([PLAIN[name](row) for row in values])
 
 
-@pytest.mark.parametrize("share", resampling.QUANTILES.values())
+@pytest.mark.parametrize("share", measures.QUANTILES.values())
 def test_quantiles_are_those_of_numpy(share):
     holes = VALUES.copy()
     holes[0, 3] = holes[2, :4] = np.nan
@@ -146,7 +146,7 @@ def test_of_nothing_nothing_is_known():
 
 def test_the_interval_is_that_of_scipy_and_draws_units_not_cases():
     units = RNG.normal(1.0, 2.0, 60)
-    ours = resampling.ends(resampled(lambda at: units[at].mean(axis=1), 60, resamples=4000))
+    ours = measures.ends(resampled(lambda at: units[at].mean(axis=1), 60, resamples=4000))
     theirs = stats.bootstrap((units,), np.mean, n_resamples=4000, method="percentile")
     assert ours == pytest.approx(tuple(theirs.confidence_interval), abs=0.06)
     once = interval(MEAN, units[:, None])
@@ -155,12 +155,12 @@ def test_the_interval_is_that_of_scipy_and_draws_units_not_cases():
 
 def test_units_drawn_in_parts_are_the_same_units(monkeypatch):
     whole = resampled(lambda at: at.sum(axis=1), 7, resamples=50)
-    monkeypatch.setattr(resampling, "CHUNK", 21)
+    monkeypatch.setattr(measures, "CHUNK", 21)
     assert np.array_equal(resampled(lambda at: at.sum(axis=1), 7, resamples=50), whole)
 
 
 def test_values_by_unit():
-    grid = resampling.by_unit(np.array([1.0, 2.0, 3.0]), pd.Series([4, 7, 4]))
+    grid = measures.by_unit(np.array([1.0, 2.0, 3.0]), pd.Series([4, 7, 4]))
     np.testing.assert_allclose(grid, [[1.0, 3.0], [2.0, np.nan]])
 
 
