@@ -36,6 +36,7 @@ from sparsefit.regression.penalties import (
 from sparsefit.regression.problem import compressed
 
 BATCH, ROUNDS = 50, 60  # columns that join at a time, cone programs at a penalty
+MOST = 5000  # columns, at most, that are all in play: of X'X and its factor
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,9 @@ class Clarabel:
     package: ClassVar[str] = "clarabel"
 
     def takes(self, penalty: Penalty) -> str:
-        """The reason for refusing a penalty: it has no conic form."""
+        """The reason for refusing a penalty: it has no conic form, or needs X'X of MOST columns."""
+        if penalty.columns > MOST and _is_whole(penalty):
+            return f"clarabel would form X'X of {penalty.columns} columns for this penalty"
         return "" if _layers(penalty) is not None else _no_conic_form(penalty)
 
     def path(
@@ -60,8 +63,7 @@ class Clarabel:
         A point that fails is NaN; a status other than solved is issued as a warning.
         """
         weights = np.zeros((len(alphas), penalty.columns, target.shape[1]))
-        whole = isinstance(penalty, SquaredNorm) or penalty.restricted(np.arange(1)) is None
-        in_play = np.full(penalty.columns, whole)
+        in_play = np.full(penalty.columns, _is_whole(penalty))
         # Asked for 1e-12, cone programs of groups end almost solved, some at a gap of 1e-7.
         stop = tolerance or 1e-10
         for values, alpha in zip(weights, alphas.tolist(), strict=True):
@@ -105,6 +107,11 @@ def _solved(
         return values * alpha, status
     part, alphas = Design(columns, design.samples), np.array([alpha])
     return ByConicForm().path(part, target, penalty, alphas, stop)[0], "Solved"
+
+
+def _is_whole(penalty: Penalty) -> bool:
+    """Whether all columns are in play, as no part of them has a penalty of its own."""
+    return isinstance(penalty, SquaredNorm) or penalty.restricted(np.arange(1)) is None
 
 
 def _no_conic_form(penalty: Penalty) -> str:

@@ -43,7 +43,7 @@ from sparsefit.solvers.kernels import (
     kernel_for,
     path_on_gram,
 )
-from sparsefit.solvers.newton import Columns, definite
+from sparsefit.solvers.newton import Columns, by_gradients, definite
 from sparsefit.solvers.outliers import outlier_path
 
 FEW = 600  # columns, at most, that are all in the working set
@@ -55,6 +55,8 @@ FEASIBLE = 3e-10  # relative excess of a dual norm over alpha that counts as rou
 STORED = 2**25  # entries of Z_J, at most, of which a dense copy is stored
 SMALL = 2**22  # m k of sparse columns, at most, that are stored dense
 SMALL_CLUSTERS = 2**16  # for cluster descent, whose sparse steps are cheap
+DIRECT = 2500  # rows or columns, whichever are fewer, of which a ridge forms the products
+BLOCK = 2**23  # entries of the columns that are summed at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,24 +315,48 @@ def _leading(units: IntArray, order: IntArray, most: int) -> IntArray:
 def _ridge_path(
     design: Design, target: Array, penalty: Penalty, alphas: Array, cross: Array
 ) -> Points:
-    """(G + mu I)^-1 Z'Y/m at each mu = alpha rho, by the smaller of Z'Z and Z Z'."""
-    (m, k), rows = design.shape, None
-    if k <= m:
-        square, right = design.gram, cross
-    else:
-        rows = design.columns(np.arange(k))
-        square, right = rows @ rows.T / design.samples, target
-    points = Points.zeros(len(alphas), cross, "cholesky")
-    points.steps[:] = 1
+    """(G + mu I)^-1 Z'Y/m at each mu = alpha rho, by the smaller of Z'Z and Z Z'.
+
+    Where both are large, or Z Z' would read a file many times, it is by conjugate gradients. Where
+    these fail, penalties from there on are solved by a matrix of up to four times that size.
+    """
+    (m, k), square, right = design.shape, np.zeros((0, 0)), cross
+    most, is_direct = min(m, k), k <= m or design.in_memory or design.kind == "sparse"
+    is_direct = is_direct and most <= DIRECT
+    points = Points.zeros(len(alphas), cross, "conjugate gradients")
+    values, points.steps[:] = np.zeros(cross.shape), 1
     for i, alpha in enumerate(alphas.tolist()):
+        mu = alpha * penalty.ridge
+        if not is_direct:
+
+            def times(v: Array, mu: float = mu) -> Array:
+                return design.correlate(design.predict(v)) + mu * v
+
+            values, points.steps[i], is_solved = by_gradients(times, cross, values)
+            points.weights[i], points.complete[i] = values, is_solved
+            is_direct = not is_solved and most <= 4 * DIRECT
+            if not is_direct:
+                continue
+        if not len(square):
+            square, right = (design.gram, cross) if k <= m else (_row_products(design), target)
         shifted = square.copy()
-        shifted.flat[:: len(square) + 1] += alpha * penalty.ridge
+        shifted.flat[:: len(square) + 1] += mu
         solved = definite(shifted, right)
         points.complete[i] = solved is not None
         if solved is None:  # alpha is lost beside G in rounding: the least squares of least norm
             solved = np.asarray(np.linalg.lstsq(square, right, rcond=None)[0])
-        points.weights[i] = solved if rows is None else rows.T @ solved / design.samples
-    return points
+        points.weights[i] = solved if k <= m else design.correlate(solved)
+    return replace(points, words="cholesky") if is_direct else points
+
+
+def _row_products(design: Design) -> Array:
+    """Z Z'/m (m, m), from some columns at a time."""
+    (m, k), step = design.shape, max(BLOCK // design.shape[0], 1)
+    square = np.zeros((m, m))
+    for start in range(0, k, step):
+        columns = design.columns(np.arange(start, min(start + step, k)))
+        square += columns @ columns.T
+    return square / design.samples
 
 
 NEAREST = 1e-11  # of the largest penalty: the smallest t that is tried,

@@ -21,9 +21,9 @@ from sparsefit.errors import InputError, MissingExtra
 from sparsefit.regression.backend import Checked, Solution, heard, setting
 from sparsefit.regression.certificate import CertificateKind
 from sparsefit.regression.problem import RegressionProblem
+from sparsefit.solvers.newton import by_gradients
 
 FEW = 2000  # columns, whose Z'Z is formed once for every support
-GRADIENTS, EXACT = 2000, 1e-13  # conjugate gradients at most, and what they leave of |Z'Y|
 
 
 @dataclass(frozen=True)
@@ -231,25 +231,19 @@ def _by_gradients(
     Without a ridge, of the solutions that of least norm. Raises InputError where columns are so
     alike that these do not converge.
     """
-    values, scale = np.zeros((problem.columns, len(targets))), 1.0 / (1.0 + ridge)[:, None]
-    rest = problem.cross[np.ix_(on, targets)]
-    direction, stop = scale * rest, EXACT * np.abs(rest).max(axis=0)
-    square = np.sum(rest * direction, axis=0)
-    for _ in range(GRADIENTS):
-        if np.all(np.abs(rest).max(axis=0) <= stop):
-            return values[on]
-        whole = np.zeros(values.shape)
-        whole[on] = direction
+    whole = np.zeros((problem.columns, len(targets)))
+    root = np.sqrt(1.0 + ridge)[:, None]  # of the diagonal, which scales the system
+
+    def times(x: Array) -> Array:
+        whole[on] = x / root
         image = problem.design.correlate(problem.design.predict(whole))[on]
-        image += ridge[:, None] * direction
-        curvature = np.sum(direction * image, axis=0)
-        length = np.divide(square, curvature, out=np.zeros(len(targets)), where=curvature > 0.0)
-        values[on] += length * direction
-        rest = rest - length * image
-        before, square = square, np.sum(scale * rest**2, axis=0)
-        share = np.divide(square, before, out=np.zeros(len(targets)), where=before > 0.0)
-        direction = scale * rest + share * direction
-    words = f"stlsq: {len(on)} of the columns are too alike for {GRADIENTS} conjugate gradients"
+        return (image + ridge[:, None] * whole[on]) / root
+
+    x, steps, is_solved = by_gradients(times, problem.cross[np.ix_(on, targets)] / root)
+    if is_solved:
+        solution: Array = x / root
+        return solution
+    words = f"stlsq: {len(on)} of the columns are too alike for {steps} conjugate gradients"
     raise InputError(f"{words}: raise its ridge or its threshold, or use lasso")
 
 

@@ -20,6 +20,7 @@ Sources: Rockafellar, SIAM J. Control Optim. 14 (1976) 877-898; Li, Sun and Toh,
 semismooth Newton augmented Lagrangian method for solving Lasso problems", SIAM J. Optim. 28 (2018).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +35,7 @@ from sparsefit.regression.penalties import Penalty
 OUTER, INNER, HALVINGS = 60, 50, 25
 FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit rms
 PATIENCE = 6  # proximal points without a smaller gap
-EXACT, GRADIENTS = 1e-13, 500  # relative residual of clusters' levels, and the most steps to it
+EXACT, GRADIENTS = 1e-13, 2000  # relative residual, and the most steps of conjugate gradients
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
 
 
@@ -127,6 +128,38 @@ def _nearest(matrix: Array, right: Array) -> Array:
     if solution is None:
         solution = np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-14)[0])
     return solution
+
+
+def by_gradients(
+    times: Callable[[Array], Array],
+    right: Array,
+    start: Array | None = None,
+    stop: Array | float | None = None,
+    ends: Callable[[Array, float], bool] | None = None,
+) -> tuple[Array, int, bool]:
+    """X (j, q) of A X = right by conjugate gradients from ``start`` or zero, steps, and success.
+
+    times(X): A X, A positive semidefinite: from zero X is the solution of least norm. stop: the
+    largest residual, EXACT of the right side by default; ends(X, residual): whether X suffices.
+    Source: Hestenes and Stiefel, J. Res. NBS 49 (1952) 409-436.
+    """
+    x = np.zeros(right.shape) if start is None else start.copy()
+    rest = right.copy() if start is None else right - times(x)
+    stop = EXACT * np.abs(right).max(axis=0, initial=0.0) if stop is None else stop
+    direction, square = rest, np.einsum("jq,jq->q", rest, rest)
+    for count in range(GRADIENTS):
+        size = np.abs(rest).max(axis=0, initial=0.0)
+        if np.all(size <= stop) or (ends is not None and ends(x, float(size.max()))):
+            return x, count, True
+        image = times(direction)
+        curvature = np.einsum("jq,jq->q", direction, image)
+        length = np.divide(square, curvature, out=np.zeros(len(square)), where=curvature > 0.0)
+        x += length * direction
+        rest = rest - length * image
+        before, square = square, np.einsum("jq,jq->q", rest, rest)
+        share = np.divide(square, before, out=np.zeros(len(square)), where=before > 0.0)
+        direction = rest + share * direction
+    return x, GRADIENTS, False
 
 
 def solved_by_newton(
@@ -263,16 +296,14 @@ def _sparse_levels(
 ) -> Array | None:
     """The levels (d,) of clusters of sparse columns by conjugate gradients from x (d,)."""
     from scipy.sparse import csc_array
-    from scipy.sparse.linalg import LinearOperator, cg
 
     ends = np.append(first, len(order))
     sums = on.rows[:, order] @ csc_array((sign, np.arange(len(order)), ends))
     across = sums.T.tocsr()
 
     def times(x: Array) -> Array:
-        product: Array = across @ (sums @ x) / on.samples + shift * x
+        product: Array = across @ (sums @ x) / on.samples + shift[:, None] * x
         return product
 
-    operator = LinearOperator((len(right), len(right)), matvec=times, dtype=np.float64)
-    levels, failed = cg(operator, right, x, rtol=EXACT, maxiter=GRADIENTS)
-    return None if failed else levels
+    levels, _, is_solved = by_gradients(times, right[:, None], x[:, None])
+    return levels[:, 0] if is_solved else None

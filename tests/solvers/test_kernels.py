@@ -10,10 +10,11 @@ from sparsefit.regression.certificate import duality_gaps
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.ordered_penalties import SortedNorm
-from sparsefit.regression.penalties import AbsoluteValues, BoundedValues
+from sparsefit.regression.penalties import AbsoluteValues, BoundedValues, SquaredNorm
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers import exact, kernels
 from sparsefit.solvers.descent import descent_path
+from sparsefit.solvers.exact import exact_path
 from sparsefit.solvers.kernels import BEGIN, KERNELS, STOP, kernel_for
 from sparsefit.solvers.newton import (
     Columns,
@@ -188,19 +189,18 @@ def test_sparse_clusters_are_descended_in_their_columns_to_the_optimum(most, mon
     assert max(gap.bound for gap in gaps) < 1e-8
 
 
-@pytest.mark.parametrize(
-    ("kind", "targets", "name"),
-    [
-        *(("LASSO", 1, "homotopy"), ("elastic net", 1, "homotopy"), ("LASSO", 2, "newton")),
-        *(("groups", 1, "variational"), ("groups", 2, "variational")),
-        ("nested groups", 2, "block descent"),
-        *(("SLOPE", 1, "cluster descent"), ("SLOPE", 2, "newton")),
-    ],
-)
-def test_a_ridge_or_further_targets_take_the_kernel_that_knows_them(kind, targets, name):
-    assert kernel_for(PENALTIES[kind], targets) == name
-    if kind in ("groups", "nested groups", "SLOPE"):
-        assert kernel_for(replace(PENALTIES[kind], ridge=0.1), targets) == "newton"
+@pytest.mark.parametrize(("rows", "columns"), [(30, 80), (80, 30)])
+def test_a_ridge_by_conjugate_gradients_is_that_of_the_matrix(rows, columns, monkeypatch):
+    design, target = drawn(1, rows, columns, 0.2)
+    design = replace(design, direction=np.full(rows, rows**-0.5))
+    target, penalty = design.off(np.outer(target, [1.0, -2.0])), SquaredNorm(columns)
+    alphas = np.array([5.0, 0.1, 1e-9])
+    direct = exact_path(design, target, penalty, alphas)
+    monkeypatch.setattr(exact, "DIRECT", 10)
+    iterated = exact_path(design, target, penalty, alphas)
+    np.testing.assert_allclose(iterated.weights, direct.weights, atol=1e-9)
+    assert iterated.complete.all()
+    assert (direct.words, iterated.words) == ("cholesky", "conjugate gradients")
 
 
 @pytest.mark.parametrize("kind", [*PENALTIES, "box"])
