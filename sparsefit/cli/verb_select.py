@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> Reply:
     args.stopped = "stopped; run the same command again to continue"
     given = {name: getattr(args, name) for name in names_of(SelectionRule)}
     options = {name: value for name, value in given.items() if value is not None}
-    rule = study.definition.selection.changed(OptionPlace(""), **options)
+    rule = study.definition.select.changed(OptionPlace(""), **options)
     of_flights = study.kind == "flights"
     if of_flights:
         check_output(args.output, force=args.force)

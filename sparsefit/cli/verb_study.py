@@ -104,7 +104,7 @@ def _checked(args: argparse.Namespace) -> Study:
         check_outputs(study)
         check_rule(study)
         study.planned.check()
-        if study.definition.selection.on_board:
+        if study.definition.select.on_board:
             with told_with("[select]"):
                 _ = study.refusals  # none can fly
     return study

@@ -22,19 +22,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
-from sparsefit.study.contenders import ACCURACIES, FOLDS, IN_USE, ProblemDesign
 from sparsefit.study.data_sets import Data
 from sparsefit.study.keys import Clock
 from sparsefit.study.problem_desk import Contender, fractions_of, small_problem, write_data
 from sparsefit.study.worker import Answer, Crew, NoAnswerError, Worker, disturbed
 
+if TYPE_CHECKING:
+    from sparsefit.study.problem_experiment import ProblemExperiment
+
 JUDGE = "judge"
+FOLDS = 5  # blocks of neighbouring rows that are held out in turn
+IN_USE = 1e-3  # share of the largest weight (of columns of unit rms), above which a column is used
+ACCURACIES = (1e-4, 1e-6, 1e-8)  # certified, at which success and time are counted
 READY_SECONDS = 120.0  # to copy arrays
 SOLVE, FIRST = "the solve", "its first call"  # in reasons
 
@@ -131,7 +136,7 @@ class Arena:
     again; first: the times [s] of first calls; unit, data, file: the current problem.
     """
 
-    design: ProblemDesign
+    plan: ProblemExperiment
     crew: Crew
     met: dict[Worker, set[tuple[tuple[str, str], bool]]] = field(default_factory=dict)
     overhead: dict[Worker, float] = field(default_factory=dict)
@@ -146,7 +151,7 @@ class Arena:
         self.unit, self.data, self.file = unit, data, self.crew.home / f"{unit}.npz"
         if not self.file.exists():
             write_data(data, self.file)
-        cases, clock, turn = [self._case(cell) for cell in cells], self.design.clock, 0
+        cases, clock, turn = [self._case(cell) for cell in cells], self.plan.definition.clock, 0
         for case in cases:
             with case.ending():
                 self._begin(case, cases)
@@ -157,16 +162,16 @@ class Arena:
                 with case.ending():
                     self._repeat(case, turn)
         for case in cases:
-            if self.design.holds_out and not case.status:
+            if self.plan.holds_out and not case.status:
                 with case.ending("on a part of the rows: "):
                     self._hold_out(case)
         return list(map(self._outcome, cases))
 
     def _case(self, cell: int) -> Case:
-        case = Case(cell, self.design.contenders[cell])
+        case = Case(cell, self.plan.contenders[cell])
         if not case.contender.missing:
             backend = case.contender.settled
-            case.points = len(fractions_of(backend, self.design.fractions)) or 1
+            case.points = len(fractions_of(backend, self.plan.fractions)) or 1
         return case
 
     def _begin(self, case: Case, cases: Sequence[Case]) -> None:
@@ -285,8 +290,8 @@ class Arena:
             bases.append(_squares(data.target[out], np.delete(data.target, out, 0)))
         case.values |= cross_validated(np.array(errors), np.array(bases))
         point = int(np.sum(errors, axis=0).argmin())
-        if self.design.fractions:
-            case.values["alpha_fraction"] = self.design.fractions[point]
+        if self.plan.fractions:
+            case.values["alpha_fraction"] = self.plan.fractions[point]
         if data.test is not None:
             theta, target = data.test
             blocks = np.array_split(np.arange(len(target)), min(FOLDS, len(target)))
@@ -321,7 +326,7 @@ class Arena:
             reason = ": ".join(filter(None, (*words, case.values.get("word", ""))))
         values = {
             **size_of(self.data),
-            **case.repeats.columns(self.design.clock),
+            **case.repeats.columns(self.plan.definition.clock),
             **case.values,
             "points": case.points,
             "first": self.first.get(case.contender.names, math.nan),

@@ -17,12 +17,12 @@ import itertools
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
-from sparsefit.codec import Place, build, integer, made, number, only, shown
-from sparsefit.errors import InputError, SparsefitError, suggestion, told_with
+from sparsefit.codec import Place, build, made, number, only, shown
+from sparsefit.errors import SparsefitError, suggestion, told_with
 from sparsefit.model import LengthScaleGrid
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
@@ -87,35 +87,6 @@ class Cell:
     levels: Levels
     setup: Setup
     backend: BackendPoint
-
-
-@dataclass(frozen=True, eq=False)
-class FlightDesign:
-    """Flights and the cells that are made of every one of them.
-
-    given: the keys of the sections flights, derivative, library and readout that the file sets,
-    dotted; sweep: levels by dotted key; validate_count: flights of the split `validate`, None
-    without [split]; titles: by candidate, of the study that the cells are a part of, if any.
-    """
-
-    count: int
-    given: Mapping[str, object]
-    protocols: Protocols
-    sweep: Mapping[str, tuple[object, ...]]
-    cells: tuple[Cell, ...]
-    validate_count: int | None = None
-    titles: dict[str, str] = field(default_factory=dict)
-
-    def split(self, flight: int) -> str:
-        """`validate`, `evaluate` or, without [split], `all`.
-
-        The two are interleaved: with a quantity that is equally spaced over the flights, both
-        halves cover its range.
-        """
-        if self.validate_count is None:
-            return "all"
-        before, after = (n * self.validate_count // self.count for n in (flight, flight + 1))
-        return "validate" if after > before else "evaluate"
 
 
 def _read_part(name: str, section: Section, place: Place) -> Any:
@@ -191,49 +162,19 @@ def cross(
             yield Cell(protocol, levels, setup, backend)
 
 
-def read_flight_design(file: FlightFile, place: Place) -> FlightDesign:
-    """The flights and cells of a study, every combination resolved."""
-    sections: dict[str, dict[str, Any]] = {name: dict(getattr(file, name)) for name in SECTION_KEYS}
-    flights, within, here = sections["flights"], place.within("flights"), place.within("sweep")
-    count, parts = 0, dict[str, Any]()
-    if "files" not in flights:
-        if "count" not in flights:
-            raise within.at("count").error("missing: give it")
-        count = integer(flights.pop("count"), within.at("count"), least=1)
-    drawn = read_setup(sections, place, parts).flights
-    if isinstance(drawn, Logs):
-        count = len(drawn.pieces)
-    # The order of keys in the file means nothing.
-    levels = sorted(_dotted(file.sweep, here).items())
-    sweep = {name: tuple(distinct(value, here.at(name))) for name, value in levels}
-    fitted = _read_backends(file, place.within("backends"))
-    protocols = _read_protocols(file, sweep, place.within("protocols"))
-    planned = count * len(protocols) * math.prod(map(len, sweep.values())) * len(fitted)
-    if planned > MOST_CASES:
-        shorten = "shorten [sweep], the back-end settings or flights.count"
-        raise InputError(f"{place.file}: plans {planned} cases, more than {MOST_CASES}: {shorten}")
-    if file.split is not None and (total := file.split.validate + file.split.evaluate) != count:
-        words = f"counts sum to {total}, not to the {count} of flights.count"
-        raise place.within("split").error(words)
-    given = {f"{name}.{key}": value for name in sections for key, value in sections[name].items()}
-    cells = tuple(cross(sections, protocols, sweep, fitted, place, parts))
-    validate = None if file.split is None else file.split.validate
-    return FlightDesign(count, given, protocols, sweep, cells, validate)
-
-
-def _read_protocols(file: FlightFile, sweep: Grid, place: Place) -> dict[str, Levels]:
+def read_protocols(file: FlightFile, sweep: Grid, place: Place) -> dict[str, Levels]:
     """The [[protocols]], or one called "default" without overrides."""
     protocols = []
     for entry in file.protocols:
         keys, rest = taken(ProtocolKeys, entry, place)
-        protocols.append((keys.name, _dotted(rest, place)))
+        protocols.append((keys.name, dotted_keys(rest, place)))
         for dotted in set(sweep) & set(protocols[-1][1]):
             raise place.at(dotted).error(f'is in [sweep] too: "{keys.name}" cannot also set it')
     distinct([name for name, _ in protocols] or ["default"], place.at("name"))
     return dict(protocols) or {"default": {}}
 
 
-def _dotted(section: Section, place: Place) -> dict[str, object]:
+def dotted_keys(section: Section, place: Place) -> dict[str, object]:
     """Flat dotted keys: `"library.target"` in quotes and bare `library.target` are equal."""
     flat: dict[str, object] = {}
     for name, value in section.items():
@@ -257,7 +198,7 @@ def _dotted(section: Section, place: Place) -> dict[str, object]:
     return flat
 
 
-def _read_backends(file: FlightFile, place: Place) -> list[BackendPoint]:
+def read_backends(file: FlightFile, place: Place) -> list[BackendPoint]:
     """Every point of the [[backends]] of flights, accepted by the back-end itself."""
     fitted: dict[str, BackendPoint] = {}
     listed = points_of_entries(file.backends, BackendKeys, place)

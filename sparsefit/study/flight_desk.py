@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,8 +39,10 @@ from sparsefit.score import prediction_error, score, score_scales, strongest
 from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, values_of
 from sparsefit.study.crossing import ALPHA, Cell
 from sparsefit.study.draw import SIMULATION, Draw, FlightRules, Logged, Logs, stream
-from sparsefit.study.plan import Definition
 from sparsefit.study.worker import peak_memory
+
+if TYPE_CHECKING:
+    from sparsefit.study.flight_experiment import FlightExperiment
 
 
 @dataclass(frozen=True)
@@ -141,27 +143,27 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     return dict(zip(("mean_velocity", "length_scale", "timescale"), errors, strict=True))
 
 
-def estimator_of(definition: Definition, cell: Cell) -> Estimator:
+def estimator_of(plan: FlightExperiment, cell: Cell) -> Estimator:
     """The estimator of a cell: derivative, library, back-end and readout, the study's tolerance."""
     estimator = Estimator(
         derivative=cell.setup.derivative,
         library=cell.setup.library,
         backend=backends.get(cell.backend.name, **cell.backend.settings),
         readout=cell.setup.readout,
-        tolerance=definition.rules.tolerance,
+        tolerance=plan.definition.run.tolerance,
     )
-    return as_flown(estimator) if definition.on_board else estimator
+    return as_flown(estimator) if plan.on_board else estimator
 
 
-def fly(definition: Definition, unit: int, rules: FlightRules | Logs) -> Flown:
+def fly(plan: FlightExperiment, unit: int, rules: FlightRules | Logs) -> Flown:
     """Simulate the flights that the cells of one condition share, or read them from a log."""
-    draw = rules.draw(unit, definition.flights.count, definition.seed)
-    seed = stream(definition.seed, unit, SIMULATION)
+    draw = rules.draw(unit, plan.count, plan.definition.seed)
+    seed = stream(plan.definition.seed, unit, SIMULATION)
     fleet = draw.fleet(seed)
     extent = extent_of(np.concatenate([flown.position for flown in fleet]))
     if isinstance(draw, Logged):
         return Flown(draw, fleet, extent)
-    others = draw.others(seed, definition.rules.prediction_flights) if draw.flown else ()
+    others = draw.others(seed, plan.definition.run.prediction_flights) if draw.flown else ()
     blind = tuple(replace(flown, flow=None) for flown in fleet)
     return Flown(draw, blind, extent, bounds_of(draw, fleet), others)
 
@@ -187,8 +189,8 @@ class FlightDesk:
     replaces a lost one computes them again.
     """
 
-    def __init__(self, definition: Definition) -> None:
-        self._definition, self._cells = definition, definition.flights.cells
+    def __init__(self, plan: FlightExperiment) -> None:
+        self._plan, self._cells = plan, plan.points
         self._estimators: dict[int, Estimator] = {}
         self._flown: tuple[Any, Any] = (None, None)  # which, and the flights
         self._prepared: tuple[Any, Any] = (None, None)  # which, and the regression problem
@@ -203,7 +205,7 @@ class FlightDesk:
         if self._flown[0] != key:
             self._flown = self._prepared = (None, None)
             gc.collect()  # garbage of a flight is not collected in the time of the next
-            self._flown = (key, fly(self._definition, *key))
+            self._flown = (key, fly(self._plan, *key))
 
     def prepare(self, unit: int, cells: Sequence[int]) -> None:
         """Build the regression problem that these cells share."""
@@ -217,7 +219,7 @@ class FlightDesk:
     def _estimator(self, index: int) -> Estimator:
         if index not in self._estimators:
             cell = self._cells[index]
-            estimator = estimator_of(self._definition, cell)
+            estimator = estimator_of(self._plan, cell)
             self._estimators[index] = cell.setup.online.flying(estimator)
         return self._estimators[index]
 

@@ -11,7 +11,7 @@ import json
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from typing import Any
@@ -20,14 +20,28 @@ import numpy as np
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
+from sparsefit.codec import Place, integer
 from sparsefit.errors import InputError, is_real
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
-from sparsefit.study.crossing import ALPHA, Cell, FlightDesign, Protocols, named
+from sparsefit.study.crossing import (
+    ALPHA,
+    MOST_CASES,
+    SECTION_KEYS,
+    Cell,
+    Protocols,
+    cross,
+    dotted_keys,
+    named,
+    read_backends,
+    read_protocols,
+    read_setup,
+)
 from sparsefit.study.draw import Logged, Logs
 from sparsefit.study.flight_desk import FlightDesk, truth_of
+from sparsefit.study.keys import FlightFile
 from sparsefit.study.manifest import code_version
 from sparsefit.study.plan import Batch, Plan, telling
-from sparsefit.study.schema import canonical_json, digest, numbered
+from sparsefit.study.schema import canonical_json, digest, distinct, numbered
 from sparsefit.study.worker import Answer, Crew, NoAnswerError
 
 UNCHANGED = "unchanged flights"  # the condition of a protocol that sets no key of the flights
@@ -37,24 +51,78 @@ WORK = {"fly": "simulating the flight", "prepare": "building the library", "case
 
 @dataclass(frozen=True, eq=False)
 class FlightExperiment(Plan):
-    """Flights x (conditions x readings x back-ends x settings)."""
+    """Flights x (conditions x readings x back-ends x settings).
 
+    given: the keys of the sections flights, derivative, library and readout that the file sets,
+    dotted; sweep: levels by dotted key; points: the cells that are made of every flight;
+    validate_count: flights of the split `validate`, None without [split]; titled: titles by
+    candidate, of the study that the cells are a part of, if any; on_board: whether every estimator
+    is flown sample by sample, as it would be exported.
+    """
+
+    definition: FlightFile
+    count: int
+    given: Mapping[str, object]
+    protocols: Protocols
+    sweep: Mapping[str, tuple[object, ...]]
+    points: tuple[Cell, ...]
+    validate_count: int | None = None
+    titled: dict[str, str] = field(default_factory=dict)
+    on_board: bool = False
+    kind = "flights"
     stored = FLIGHT_COLUMNS
 
-    @property
-    def design(self) -> FlightDesign:
-        """The flights and cells of the study file."""
-        return self.definition.flights
+    @classmethod
+    def read(cls, file: FlightFile, place: Place) -> FlightExperiment:
+        """The flights and cells of a study file, every combination resolved."""
+        sections = {name: dict(getattr(file, name)) for name in SECTION_KEYS}
+        flights, within, here = sections["flights"], place.within("flights"), place.within("sweep")
+        count, parts = 0, dict[str, Any]()
+        if "files" not in flights:
+            if "count" not in flights:
+                raise within.at("count").error("missing: give it")
+            count = integer(flights.pop("count"), within.at("count"), least=1)
+        drawn = read_setup(sections, place, parts).flights
+        if isinstance(drawn, Logs):
+            count = len(drawn.pieces)
+        # The order of keys in the file means nothing.
+        levels = sorted(dotted_keys(file.sweep, here).items())
+        sweep = {name: tuple(distinct(value, here.at(name))) for name, value in levels}
+        fitted = read_backends(file, place.within("backends"))
+        protocols = read_protocols(file, sweep, place.within("protocols"))
+        planned = count * len(protocols) * math.prod(map(len, sweep.values())) * len(fitted)
+        if planned > MOST_CASES:
+            words = f"plans {planned} cases, more than {MOST_CASES}: shorten [sweep], the back-end"
+            raise InputError(f"{place.file}: {words} settings or flights.count")
+        if (split := file.split) is not None and split.validate + split.evaluate != count:
+            words = f"counts sum to {split.validate + split.evaluate}, not to the {count}"
+            raise place.within("split").error(f"{words} of flights.count")
+        given = {f"{name}.{key}": value for name, own in sections.items()
+                 for key, value in own.items()}  # fmt: skip
+        points = tuple(cross(sections, protocols, sweep, fitted, place, parts))
+        validate = None if split is None else split.validate
+        return cls(file, place.file, count, given, protocols, sweep, points, validate)
+
+    def split(self, flight: int) -> str:
+        """`validate`, `evaluate` or, without [split], `all`.
+
+        The two are interleaved: with a quantity that is equally spaced over the flights, both
+        halves cover its range.
+        """
+        if self.validate_count is None:
+            return "all"
+        before, after = (n * self.validate_count // self.count for n in (flight, flight + 1))
+        return "validate" if after > before else "evaluate"
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
         """The flights: simulated ones are known by their numbers, logged ones by their content."""
-        count, pieces = self.design.count, self._pieces
+        count, pieces = self.count, self._pieces
         numbers = [f"{number:04d}" for number in range(count)]
         return {
             "flight": list(range(count)),
             "unit": numbers,
-            "split": [self.design.split(number) for number in range(count)],
+            "split": [self.split(number) for number in range(count)],
             "case_id": numbered(digest(repr(each)) for each in pieces) or numbers,
             **({"log": [piece.label for piece in pieces]} if pieces else {}),
         }
@@ -62,14 +130,14 @@ class FlightExperiment(Plan):
     @cached_property
     def _pieces(self) -> tuple[Logged, ...]:
         """The pieces of logs that every cell flies; none where flights are simulated."""
-        flights = {cell.setup.flights for cell in self.design.cells}
+        flights = {cell.setup.flights for cell in self.points}
         logs = flights.pop()
         return logs.pieces if isinstance(logs, Logs) and not flights else ()
 
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
         """Condition, candidate, title and factors of every cell."""
-        cells, protocols = self.design.cells, self.design.protocols
+        cells, protocols = self.points, self.protocols
         worlds = _half_words(protocols)
         readings, words = _half_words(protocols, worlds), _setting_words(cells)
         conditions, candidates, aspects = list[str](), list[str](), list[tuple[str, ...]]()
@@ -82,7 +150,7 @@ class FlightExperiment(Plan):
             candidates.append(digest(canonical_json([reading, own, *fitted]))[:12])
             chosen = ", ".join(level_words(k, v) for k, v in own.items())
             aspects.append((reading, words[fitted], chosen))
-        titles = dict(zip(candidates, _titles(aspects), strict=True)) | self.design.titles
+        titles = dict(zip(candidates, _titles(aspects), strict=True)) | self.titled
         return {
             "condition": conditions,
             "candidate": candidates,
@@ -98,10 +166,9 @@ class FlightExperiment(Plan):
 
     def _levels(self, key: str) -> list[Any]:
         """The level of a factor in every cell: numbers where all are, else text."""
-        given, protocols = self.design.given.get(key), self.design.protocols
+        given, protocols = self.given.get(key), self.protocols
         levels = [
-            cell.levels.get(key, protocols[cell.protocol].get(key, given))
-            for cell in self.design.cells
+            cell.levels.get(key, protocols[cell.protocol].get(key, given)) for cell in self.points
         ]
         if all(map(is_real, levels)):
             return [float(level) for level in levels if is_real(level)]
@@ -115,25 +182,25 @@ class FlightExperiment(Plan):
         gives to these nor its other cells.
         """
         own = replace(cell.setup, flights=Logs(())) if self._pieces else cell.setup
-        definition, setup = self.definition, canonical_json(own)
-        count = self.design.count if "linspace" in setup else 0  # a rule that spaces flights
-        run = (definition.seed, definition.rules.tolerance, definition.rules.prediction_flights)
+        file, setup = self.definition, canonical_json(own)
+        count = self.count if "linspace" in setup else 0  # a rule that spaces flights
+        run = (file.seed, file.run.tolerance, file.run.prediction_flights)
         backend = (cell.backend.name, cell.backend.own_settings)
-        return digest(canonical_json([*run, definition.on_board, count, setup, *backend]))
+        return digest(canonical_json([*run, self.on_board, count, setup, *backend]))
 
     def factors(self) -> dict[str, str]:
         """The swept keys, and those that protocols set."""
-        content = [key for overrides in self.design.protocols.values() for key in overrides]
-        every = dict.fromkeys([*self.design.sweep, *content])
+        content = [key for overrides in self.protocols.values() for key in overrides]
+        every = dict.fromkeys([*self.sweep, *content])
         return {key: "condition" if _of_flight(key) else "candidate" for key in every}
 
     def version(self, cell: int) -> str:
-        return code_version(backends.distribution(self.design.cells[cell].backend.name))
+        return code_version(backends.distribution(self.points[cell].backend.name))
 
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
-        rules, design = self.design.cells[cell].setup.flights, self.design
+        rules = self.points[cell].setup.flights
         try:
-            return truth_of(rules.draw(unit, design.count, self.definition.seed))
+            return truth_of(rules.draw(unit, self.count, self.definition.seed))
         except InputError:  # an infinite L_w/tau_w, which the reason of the case says
             return {}
 
@@ -146,7 +213,7 @@ class FlightExperiment(Plan):
         """
         numbers: dict[object, int] = {}
         shared = []
-        for cell in self.design.cells:
+        for cell in self.points:
             setup, backend = cell.setup, cell.backend
             along = {ALPHA} if backend.fractions else set()
             others = {k: v for k, v in backend.settings.items() if k not in along}
@@ -158,7 +225,7 @@ class FlightExperiment(Plan):
 
     def desk(self, name: str) -> tuple[Any, tuple[Any, ...]]:
         """The desk of flights, in a process of its own for each back-end of another package."""
-        return FlightDesk, (self.definition,)
+        return FlightDesk, (replace(self),)  # without cached columns
 
     def _desk_of(self, cell: Cell) -> str:
         name = cell.backend.name
@@ -187,10 +254,10 @@ class FlightExperiment(Plan):
             verb, cells, tries = steps.popleft()
             if cells[0] in ended:
                 continue
-            fits, cell = 1, self.design.cells[cells[0]]
+            fits, cell = 1, self.points[cells[0]]
             if verb == "cases" and len(cells) > 1:
                 fits = max(len(cell.backend.fractions), 1) + len(cells) - 1
-            limit = self.definition.rules.case_timeout * fits
+            limit = self.definition.run.case_timeout * fits
             content = {"unit": batch.unit, "cells": cells}
             try:
                 worker = crew.worker(self._desk_of(cell))

@@ -22,9 +22,8 @@ import numpy as np
 
 import sparsefit
 from sparsefit.codec import finite_or_none
-from sparsefit.study.flight_desk import FlightDesk
+from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.manifest import processor, read_record
-from sparsefit.study.plan import Definition
 from sparsefit.study.worker import Answer, NoAnswerError, Worker, disturbed, memory_limit
 from sparsefit.whole_file import write_whole
 
@@ -46,17 +45,16 @@ class Latency:
     busy: float = 0.0
 
 
-def measured(definition: Definition, cells: Sequence[int], flights: int) -> Latency:
+def measured(plan: FlightExperiment, cells: Sequence[int], flights: int) -> Latency:
     """The latency of a candidate over flights of splits other than `evaluate`.
 
     cells: of the candidate, one a condition, which take turns. A slow candidate is timed on fewer
     flights, at least 10.
     """
-    design, limit = definition.flights, definition.rules.case_timeout
-    units = [unit for unit in range(design.count) if design.split(unit) != "evaluate"]
-    memory = memory_limit(definition.rules.max_memory, 1)
+    limit, memory = plan.definition.run.case_timeout, plan.definition.run.max_memory
+    units = [unit for unit in range(plan.count) if plan.split(unit) != "evaluate"]
     begun, times, busy, peak = time.monotonic(), list[float](), 0, None
-    with closing(Worker(FlightDesk, (definition,), memory=memory)) as worker:
+    with closing(Worker(*plan.desk(""), memory=memory_limit(memory, 1))) as worker:
         for place in (0, 0, *range(flights)):  # two to warm up
             unit = units[place // len(cells) % len(units)]
             content = {"unit": unit, "cells": [cells[place % len(cells)]]}

@@ -1,6 +1,5 @@
-"""A study file, checked, and its plan: one frame with unit, condition, candidate of every case.
+"""The plan of a study file: one frame with unit, condition, candidate of every case.
 
-    definition = read_definition("studies/smoke.toml")
     case = unit x cell,    cell = condition x candidate
 
 A unit is what statistics draw whole (a flight with all its conditions; a regression problem), a
@@ -16,96 +15,22 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sparsefit.arrays import BoolArray
-from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, suggestion
-from sparsefit.study import crossing, keys, schema
 from sparsefit.study.columns import Column, Outcome
-from sparsefit.study.contenders import ProblemDesign, read_problem_design
-from sparsefit.study.crossing import FlightDesign
-from sparsefit.study.schema import Section, canonical_json, read_toml
+from sparsefit.study.keys import FlightFile, ProblemFile
+from sparsefit.study.schema import canonical_json
 from sparsefit.study.worker import Crew
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Columns: TypeAlias = Mapping[str, Sequence[Any]]
-
-
-@dataclass(frozen=True, eq=False)
-class Definition:
-    """A study file, checked and resolved.
-
-    on_board: whether every estimator is flown sample by sample, as it would be exported.
-    """
-
-    path: str
-    name: str
-    kind: str
-    question: str
-    seed: int
-    rules: keys.RunRule
-    outputs: keys.Outputs
-    selection: keys.SelectionRule
-    design: FlightDesign | ProblemDesign
-    on_board: bool = False
-
-    @property
-    def flights(self) -> FlightDesign:
-        """The design of a study of flights."""
-        if not isinstance(self.design, FlightDesign):
-            words = "is a study of regression problems, and flies nothing"
-            raise InputError(f"{self.path}: {words}: give a study of flights")
-        return self.design
-
-
-def read_definition(path: str | Path) -> Definition:
-    """The study that a TOML file describes.
-
-    Raises:
-        InputError: with the file, the section and the key (or the line) of the first fault.
-    """
-    return definition_of(read_toml(path), str(path))
-
-
-def definition_of(document: Section, path: str) -> Definition:
-    """The study of these tables; files that it names lie beside ``path``."""
-    place = Place(path)
-    heading, _ = schema.taken(keys.Heading, document, place)
-    flown = heading.kind == "flights"
-    kind: type[keys.FlightFile | keys.ProblemFile] = keys.FlightFile if flown else keys.ProblemFile
-    file = build(kind, document, place)
-    outputs = file.outputs
-    if outputs.script and not (Path(path).parent / outputs.script).is_file():
-        words = f'"{outputs.script}": no such file beside {Path(path).name}'
-        raise place.within("outputs").at("script").error(words)
-    words = str((outputs.tables, outputs.figures, outputs.headline))
-    if flown and not file.run.prediction_flights and "prediction-error" in words:
-        # All its cases would count as failures.
-        words = "missing: prediction-error needs other flights to predict along, 2 say"
-        raise place.within("run").at("prediction_flights").error(words)
-    design: FlightDesign | ProblemDesign
-    if isinstance(file, keys.FlightFile):
-        design = crossing.read_flight_design(file, place)
-    else:
-        design = read_problem_design(file, place)
-    return Definition(
-        path=path,
-        name=file.name,
-        kind="flights" if flown else "problems",
-        question=file.question,
-        seed=file.seed,
-        rules=file.run,
-        outputs=outputs,
-        selection=file.select,
-        design=design,
-    )
 
 
 def telling(words: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -132,12 +57,15 @@ class Batch:
 class Plan(Protocol):
     """Every case of a study, unit by unit, in the order of the rows of `cases.parquet`.
 
-    A kind of study says its units, its cells and how a batch of cases is run. stored: the columns
-    of `cases.parquet`, but for swept factors; called: those with the names by which a user may call
-    a cell; alone: whether cases are timed, so that one process works at a time.
+    A kind of study says its units, its cells and how a batch of cases is run. definition: the keys
+    of the file; path: of the file, beside which others that it names lie. stored: the columns of
+    `cases.parquet`, but for swept factors; called: those with the names by which a user may call a
+    cell; alone: whether cases are timed, so that one process works at a time.
     """
 
-    definition: Definition
+    definition: FlightFile | ProblemFile
+    path: str
+    kind: ClassVar[str]
     stored: ClassVar[Sequence[Column]]
     called: ClassVar[Sequence[str]] = ("backend", "label", "protocol")
     alone: ClassVar[bool] = False

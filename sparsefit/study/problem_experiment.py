@@ -1,5 +1,18 @@
 """The experiment with regression problems: units are problems, candidates are solvers.
 
+    [[backends]]
+    name = "lasso"                       # the objective
+    solver = ["homotopy", "mine"]
+
+    [[solvers]]                          # solvers of one's own: lists of settings are contenders
+    name = "mine"
+    file = "my_solver.py"
+    iterations = [100, 1000, 10000]
+
+An entry of [[solvers]] without a name brings every solver of its file. Entries of one label are one
+objective, solved by every one of its solvers. A ``certified`` one is charged for all that
+`sparsefit.path` does.
+
 A case is one solver at one tolerance on one problem: a whole path of penalties with [path], a
 single fit without. Cases of one problem and one objective are certified one by one and timed by
 turns until the median is known; the answer of every timed repeat is checked. A study of
@@ -8,51 +21,127 @@ turns until the median is known; the answer of every timed repeat is checked. A 
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit import backends
+from sparsefit import Estimator, RegressionProblem, backends
 from sparsefit.arrays import BoolArray
-from sparsefit.study.arena import JUDGE, Arena, size_of
+from sparsefit.codec import Place, build, integer, only
+from sparsefit.errors import InputError, MissingExtra, SparsefitError
+from sparsefit.solvers.penalised import PenalisedPath
+from sparsefit.solvers.registry import REFEREE, Recipe, solver_names
+from sparsefit.study import crossing, data_sets, schema
+from sparsefit.study.arena import FOLDS, IN_USE, JUDGE, Arena, size_of
 from sparsefit.study.columns import PROBLEM_COLUMNS, Outcome
-from sparsefit.study.contenders import ProblemDesign
-from sparsefit.study.data_sets import Data, shipping
+from sparsefit.study.draw import SIMULATION, stream
+from sparsefit.study.keys import ContenderKeys, Generator, ProblemFile, ProblemKeys, SolverKeys
 from sparsefit.study.manifest import code_version, processor, versions
 from sparsefit.study.plan import Batch, Plan, telling
-from sparsefit.study.problem_desk import JudgeDesk, SolverDesk
+from sparsefit.study.problem_desk import Contender, JudgeDesk, SolverDesk, small_problem
 from sparsefit.study.schema import canonical_json, digest, numbered
 from sparsefit.study.worker import Crew
 from sparsefit.whole_file import refusing
 
 ON = " on "  # between the code and the machine
+OURS = "sparsefit"
+KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, `name` and `alter`
+    "flights": ("library",),
+    "file": ("target", "intercept", "test"),
+    "dataset": (),
+    "generator": ("count", *schema.names_of(Generator)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ProblemSource:
+    """One problem: the source of its arrays, and their alteration.
+
+    series: the entry it belongs to; identity: what determines its numbers; keys: of the entry;
+    test: reads the rows that are held out in a file.
+    """
+
+    name: str
+    series: str
+    make: Callable[[], data_sets.Data]
+    identity: str
+    alter: str
+    seed: int
+    keys: ProblemKeys
+    test: Callable[[], data_sets.Data] | None
+
+    def build(self) -> data_sets.Data:
+        """The arrays of the problem, checked as a regression problem.
+
+        Raises:
+            InputError: naming the problem, where its numbers make none.
+        """
+        try:
+            data = self.make().real()
+            if self.test is not None:
+                rows = self.test().real()
+                data = replace(data, test=(rows.theta, rows.target))
+            if self.keys.intercept:
+                data = data.centred()
+            if self.alter != "as it is":
+                random = np.random.default_rng(stream(self.seed, 0, 300))
+                data = data_sets.Data(
+                    *data_sets.altered(self.alter, data.theta, data.target, random), data.groups
+                )
+            RegressionProblem.from_arrays(data.theta, data.target, data.groups, names=data.names)
+        except InputError as error:
+            raise InputError(f"problem {self.name!r}: {error}") from None
+        return data
 
 
 @dataclass(frozen=True, eq=False)
 class ProblemExperiment(Plan):
-    """Problems x (solvers x tolerances x settings), timed one at a time."""
+    """Problems x (solvers x tolerances x settings), timed one at a time.
 
+    fractions: the penalties of every path, none where single fits are made.
+    """
+
+    definition: ProblemFile
+    problems: tuple[ProblemSource, ...]
+    contenders: tuple[Contender, ...]
+    fractions: tuple[float, ...]
+    kind = "problems"
     stored = PROBLEM_COLUMNS
     called = ("backend", "objective", "solver")
     alone = True
 
+    @classmethod
+    def read(cls, file: ProblemFile, place: Place) -> ProblemExperiment:
+        """The problems of a study file and its contenders."""
+        schema.distinct(file.tolerances, place.at("tolerances"))
+        here, fractions = place.within("problems"), tuple[float, ...]()
+        if file.path is not None:
+            points = np.geomspace(1.0, file.path.lowest, file.path.points)
+            fractions = tuple(points.tolist()) if len(points) > 1 else (file.path.lowest,)
+        sources = list[ProblemSource]()
+        for number in range(len(file.problems)):
+            sources += _sources(file, number, here)
+        schema.distinct([source.name for source in sources], here.at("name"))
+        return cls(file, place.file, tuple(sources), _read_contenders(file, place), fractions)
+
     @property
-    def design(self) -> ProblemDesign:
-        """The problems and cells of the study file."""
-        design = self.definition.design
-        assert isinstance(design, ProblemDesign)
-        return design
+    def holds_out(self) -> bool:
+        """Whether answers are judged by held-out rows, too."""
+        return self.definition.kind == "problems"
 
     @cached_property
     def units(self) -> dict[str, list[Any]]:
         """The problems."""
-        sources = self.design.problems
+        sources = self.problems
         return {
             "flight": list(range(len(sources))),
             "unit": [source.name for source in sources],
@@ -65,7 +154,7 @@ class ProblemExperiment(Plan):
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
         """The contenders, in their titles at a tolerance where they take part at several."""
-        contenders, case_ids = self.design.contenders, self.design.cell_identities()
+        contenders, case_ids = self.contenders, self._identities()
         names = [contender.names for contender in contenders]
         several = Counter(names)
         ends = [f" at {c.tolerance:g}" if several[c.names] > 1 else "" for c in contenders]
@@ -84,9 +173,22 @@ class ProblemExperiment(Plan):
             "case_id": case_ids,
         }
 
+    def _identities(self) -> list[str]:
+        """A hash of all that determines the rows of each cell: another limit lets others fail."""
+        clock = {**asdict(self.definition.clock), "first": 0.0}
+        judged = {"folds": FOLDS, "support": IN_USE, "stability": True} if self.holds_out else None
+        content = []
+        for c in self.contenders:
+            code = " ".join(map(data_sets.digest_of, c.files))
+            own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
+            if c.recipe is not None and c.recipe.start != SolverKeys.start:
+                own.append(c.recipe.start)
+            content.append(canonical_json([own, str(c.tolerance), self.fractions, clock, judged]))
+        return numbered(map(digest, content))
+
     def version(self, cell: int) -> str:
         """The version of the code and of a plug-in, and a digest of the machine."""
-        name = self.design.contenders[cell].backend
+        name = self.contenders[cell].backend
         return f"{code_version(backends.distribution(name))}{ON}{self._machine}"
 
     @cached_property
@@ -116,20 +218,20 @@ class ProblemExperiment(Plan):
         return size_of(self._data[unit])
 
     @cached_property
-    def _data(self) -> list[Data]:
+    def _data(self) -> list[data_sets.Data]:
         """Every problem, so that a bad one is refused before work starts."""
-        return [source.build() for source in self.design.problems]
+        return [source.build() for source in self.problems]
 
     def desk(self, name: str) -> tuple[type, tuple[Any, ...]]:
         """A process for each family of solvers, and one for the judge."""
-        arguments = (self.design.contenders, self.design.fractions)
+        arguments = (self.contenders, self.fractions)
         return (JudgeDesk if name == JUDGE else SolverDesk), arguments
 
     def check(self) -> None:
         """Refuse data sets whose package is missing."""
-        for source in self.design.problems:
+        for source in self.problems:
             if source.keys.dataset:
-                shipping(source.keys.dataset)
+                data_sets.shipping(source.keys.dataset)
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """All cases of one problem and one objective, which are timed by turns."""
@@ -141,6 +243,198 @@ class ProblemExperiment(Plan):
 
     def run(self, batches: Iterator[Batch], crew: Crew) -> Iterator[list[Outcome]]:
         with refusing(crew.home):
-            arena = Arena(self.design, crew)
+            arena = Arena(self, crew)
             for batch in batches:
                 yield arena.outcomes(batch.unit, self._data[batch.unit], batch.cells)
+
+
+def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[ProblemSource]:
+    """The problems of one entry, each as it is or altered."""
+    entry, seed = file.problems[place_in_file], file.seed + place_in_file
+    kinds = [kind for kind in KINDS if kind in entry]
+    if len(kinds) != 1:
+        if not kinds:
+            only(entry, (*KINDS, "name", "alter", *itertools.chain(*KINDS.values())), place)
+        have = " and ".join(kinds) or "none"
+        which = f'"{entry["name"]}"' if "name" in entry else f"entry {place_in_file + 1}"
+        raise place.error(f"each needs exactly one of {', '.join(KINDS)}; {which} has {have}")
+    (kind,) = kinds
+    only(entry, (kind, "name", "alter", *KINDS[kind]), place)
+    keys, rest = schema.taken(ProblemKeys, entry, place)
+    name = series = keys.name or str(entry[kind])
+    folder, test, beside = Path(place.file).parent, None, None
+    more = [*keys.target, *["intercept"] * keys.intercept] or None
+    made: list[tuple[Callable[[], data_sets.Data], Any]]  # arrays, and what determines them
+    if kind == "file":
+        schema.distinct(keys.target or ("",), place.at("target"))
+        path = folder / keys.file
+        name, columns = keys.name or path.stem, data_sets.columns_of(path, keys.target)
+        read = partial(data_sets.read_data, target=keys.target, columns=columns)
+        made = [(partial(read, path), data_sets.digest_of(path))]
+        if keys.test:
+            path = folder / keys.test
+            if sorted(columns) != sorted(data_sets.columns_of(path, keys.target)):
+                raise place.at("test").error(f'"{keys.test}": its rows have other columns')
+            test, beside = partial(read, path), data_sets.digest_of(path)
+    elif kind == "dataset":
+        made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
+    elif kind == "generator":
+        rules = build(Generator, {**data_sets.GENERATORS[str(keys.generator)], **rest}, place)
+        made = [(partial(data_sets.drawn, rules, stream(seed, number, 301)),
+                 [keys.generator, asdict(rules), number])
+                for number in range(keys.count)]  # fmt: skip
+    else:
+        if not keys.name:
+            raise place.at("name").error("missing: a flight has no other name")
+        within = Place(place.file, via=f'problem "{keys.name}": ')
+        sections = {part: {**getattr(file, part), **getattr(keys, part, {})}
+                    for part in ("flights", "derivative", "library")}  # fmt: skip
+        count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
+        setup, content = crossing.read_setup(sections, within), {**sections, "readout": {}}
+        made = [(partial(_flown, setup, number, count, seed), [content, number, count, seed])
+                for number in range(count)]  # fmt: skip
+    for number, (make, identity) in enumerate(made, 1):
+        numbered_name = f"{name} {number}" if len(made) > 1 else name
+        for alter in keys.alter:
+            own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
+            whole = canonical_json([identity, more, beside, alter, seed])
+            yield ProblemSource(own, series, make, whole, alter, seed, keys, test)
+
+
+def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_sets.Data:
+    """The arrays of the problem of a flight, as a study of flights would pose it."""
+    fleet = setup.flights.draw(flight, count, seed).fleet(stream(seed, flight, SIMULATION))
+    blind = [replace(flown, flow=None) for flown in fleet]
+    problem = Estimator(setup.derivative, setup.library).prepare(blind).problem
+    return data_sets.Data(
+        problem.theta, problem.target, problem.groups, samples=problem.sample_count
+    )
+
+
+def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
+    """The contenders of a study file, each accepted by its back-end or noted as missing."""
+    here, recipes = place.within("backends"), _read_solvers(file, place)
+    listed, entries, foreign = list[Contender](), list[ContenderKeys](), False
+    for keys, grid, settings in crossing.points_of_entries(file.backends, ContenderKeys, here):
+        if file.path is not None and crossing.ALPHA in grid:
+            raise here.at(crossing.ALPHA).error("is a single fit's: [path] sets the penalties")
+        label, limit = keys.label or crossing.named(keys.name, settings), file.clock.limit
+        for name in keys.solver:
+            for solver, recipe in _recipes_of(name, recipes):
+                words = (label, keys.name, settings, solver, recipe, keys.certified, limit)
+                listed.append(Contender(*words))
+                entries.append(keys)
+                foreign = foreign or _foreign(keys.name, recipe)
+    about = crossing.facts(about_contenders, listed, foreign=foreign, place=here)
+    contenders: list[Contender] = []
+    for keys, contender, facts in zip(entries, listed, about, strict=True):
+        recipe = contender.recipe
+        if "refused" in facts:
+            named = ", ".join(filter(None, recipes))
+            own = f"; [[solvers]] has {named}" if named else ""
+            known = recipe is None or bool(recipe.file) or recipe.name in recipes
+            raise here.error(facts["refused"] + ("" if known else own))
+        if keys.certified and not facts["exact"]:
+            why = "is for an exact path of sparsefit: no other certifies its answers"
+            raise here.at("certified").error(why)
+        recipe, solver = (None, facts["solver"]) if facts["solver"] else (recipe, contender.solver)
+        changes = {key: facts[key] for key in ("family", "missing", "compiles")}
+        changes["recipe"] = recipe
+        contender = replace(contender, solver=solver + ", certified" * keys.certified, **changes)
+        if any(other.names == contender.names for other in contenders):
+            what = f'lists "{contender.solver}" twice for "{contender.objective}"'
+            remedy = "one label is one objective, so give each of its settings a label of its own"
+            raise here.error(f"{what}: {remedy}")
+        stops = keys.tolerances or file.tolerances if facts["stops"] else (math.nan,)
+        contenders += [replace(contender, tolerance=stop) for stop in sorted(stops, reverse=True)]
+    return tuple(contenders)
+
+
+def _foreign(backend: str, recipe: Recipe | None) -> bool:
+    """Whether the code of a contender is of none of the packages that sparsefit knows."""
+    own = backend not in backends.PUBLIC and crossing.of_others(backend)
+    if recipe is None or recipe.command:
+        return own
+    return own or bool(recipe.file) or recipe.name in {*solver_names()} - {REFEREE}
+
+
+def _recipes_of(
+    name: str, recipes: Mapping[str, list[tuple[str, Recipe]]]
+) -> list[tuple[str, Recipe | None]]:
+    """The words and a recipe of every contender that ``solver`` of a back-end names.
+
+    A name that is of no entry and no package is of the file whose entry has no name.
+    """
+    if not name:
+        return [("", None)]
+    if name in recipes:
+        return [*recipes[name]]
+    if name in solver_names() or "" not in recipes:
+        return [(name, Recipe(name))]
+    return [(name + words, replace(recipe, name=name)) for words, recipe in recipes[""]]
+
+
+def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, Recipe]]]:
+    """The [[solvers]] by name: the words and a recipe for every point of the grid of its settings.
+
+    The words are its name and the settings that vary.
+    """
+    recipes: dict[str, list[tuple[str, Recipe]]] = {}
+    here, folder = place.within("solvers"), Path(place.file).parent
+    if sum("name" not in entry for entry in file.solvers) > 1:
+        raise here.at("name").error("missing: one file without a name is the most")
+    for keys, grid, point in crossing.points_of_entries(file.solvers, SolverKeys, here):
+        code = str(folder / keys.file) if keys.file else ""
+        if not (code or (keys.command and keys.name)) and keys.name not in solver_names():
+            words = f'missing: "{keys.name}" is of no package: give its file, or its command'
+            raise here.at("file").error(words)
+        if keys.command:
+            code = str(folder / "solver")  # a command is sought beside the study
+        varied = {name: value for name, value in point.items() if len(grid[name]) > 1}
+        recipe = Recipe(keys.name, point, code, keys.command, file.clock.limit, keys.start)
+        recipes.setdefault(keys.name, []).append((crossing.named(keys.name, varied), recipe))
+    return recipes
+
+
+def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
+    """Of each contender: its solver, family, whether it stops at a tolerance and `compiles`.
+
+    solver: the name of the back-end's own, empty where the recipe's counts; exact: whether that is
+    an exact path of sparsefit; missing: why it cannot run here. Of one that is none, the reason why
+    it is `refused`.
+    """
+    problem, content = small_problem(), []
+    for contender in listed:
+        name, recipe = contender.backend, contender.recipe
+        about: dict[str, Any] = dict.fromkeys(("exact", "stops"), False)
+        about |= {
+            "solver": "",
+            "family": OURS,
+            "missing": "",
+            "compiles": not _foreign(name, recipe),
+        }
+        content.append(about)
+        try:
+            backend = contender.settled
+            exact = type(backend).solver if isinstance(backend, PenalisedPath) else ""
+            if exact and backend.alpha_fraction == "auto":
+                raise InputError('alpha_fraction = "auto" is many fits: give a number')
+            if exact and (recipe is None or recipe.name == exact):
+                about |= {"solver": exact, "exact": True, "compiles": True}
+            elif recipe is None:
+                about |= {"solver": name, "family": OURS if name in backends.BACKENDS else name}
+            elif not exact:
+                raise InputError(f'{name} has no penalty, so "{recipe.name}" is none of its own')
+            else:
+                own = f"{recipe.name}{dict(recipe.settings) or ''}"
+                about |= {"stops": recipe.stops, "missing": recipe.missing}
+                about["compiles"] |= recipe.compiles
+                about["family"] = recipe.package or own
+                takes = None if about["missing"] else getattr(recipe.make(), "takes", None)
+                if callable(takes) and (reason := takes(backend.penalty(problem))):
+                    raise InputError(str(reason))
+        except MissingExtra as error:
+            about |= {"solver": name, "missing": str(error).removeprefix(f"{name}: ")}
+        except (SparsefitError, TypeError, ValueError) as error:
+            about["refused"] = str(error)
+    return content

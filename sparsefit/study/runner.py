@@ -192,7 +192,7 @@ def outcomes(
                 return
             yield batch
 
-    memory = memory_limit(plan.definition.rules.max_memory, processes)
+    memory = memory_limit(plan.definition.run.max_memory, processes)
 
     def work() -> None:
         try:

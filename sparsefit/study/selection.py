@@ -126,7 +126,7 @@ def select(
         InputError: if the rule has unknown names, the study has no split or is unfinished, or
             its candidates have different units.
     """
-    rule = rule or study.definition.selection
+    rule = rule or study.definition.select
     rule = rule.changed(**options) if options else rule
     cases, refused = study.cases, dict(refusals or {})
     _check_split(study, cases)
@@ -210,7 +210,7 @@ def check_rule(study: Any) -> None:
     Raises:
         InputError: with the nearest name that is known.
     """
-    rule = study.definition.selection
+    rule = study.definition.select
     if rule != type(rule)():
         cases = study.plan()
         _check_split(study, cases)

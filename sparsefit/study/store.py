@@ -350,7 +350,7 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
         else:
             values = [plan.columns[name][place] for place in places]
             arrays[name] = pa.array(values, types[name])
-    swept: Mapping[str, Any] = getattr(plan.definition.design, "sweep", {})
+    swept: Mapping[str, Any] = getattr(plan, "sweep", {})
     for key, levels in swept.items():
         kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
         arrays[key] = pa.array([plan.columns[key][place] for place in places], type=kind_)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property
 from hashlib import sha256
@@ -21,23 +21,17 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sparsefit.codec import shown
+from sparsefit.codec import Place, build, shown
 from sparsefit.errors import InputError, SparsefitError, described
 from sparsefit.study.columns import Outcome
-from sparsefit.study.contenders import ProblemDesign
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
-from sparsefit.study.keys import Outputs
+from sparsefit.study.keys import FlightFile, Heading, Outputs, ProblemFile
 from sparsefit.study.latency import Latency, measured, read_latencies, write_latencies
-from sparsefit.study.plan import (
-    Batch,
-    Definition,
-    Plan,
-    definition_of,
-    read_definition,
-)
+from sparsefit.study.plan import Batch, Plan
 from sparsefit.study.problem_experiment import ProblemExperiment
 from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, outcomes, run
+from sparsefit.study.schema import Section, read_toml, taken
 from sparsefit.study.store import Store, cases_table, read_cases
 
 if TYPE_CHECKING:
@@ -48,15 +42,42 @@ if TYPE_CHECKING:
 RESULTS, STUDIES = "results", "studies"
 
 
+def plan_of(document: Section, path: str) -> Plan:
+    """The plan of the tables of a study file, checked; files that it names lie beside ``path``.
+
+    Raises:
+        InputError: with the file, the section and the key (or the line) of the first fault.
+    """
+    place = Place(path)
+    heading, _ = taken(Heading, document, place)
+    is_flown = heading.kind == "flights"
+    file: Any = build(FlightFile if is_flown else ProblemFile, document, place)
+    outputs = file.outputs
+    if outputs.script and not (Path(path).parent / outputs.script).is_file():
+        words = f'"{outputs.script}": no such file beside {Path(path).name}'
+        raise place.within("outputs").at("script").error(words)
+    words = str((outputs.tables, outputs.figures, outputs.headline))
+    if (
+        heading.kind == "flights"
+        and not file.run.prediction_flights
+        and "prediction-error" in words
+    ):
+        # All its cases would count as failures.
+        words = "missing: prediction-error needs other flights to predict along, 2 say"
+        raise place.within("run").at("prediction_flights").error(words)
+    return (FlightExperiment if is_flown else ProblemExperiment).read(file, place)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Study(Definition):
+class Study:
     """A study, units times candidates, and its results folder; from `from_file` or `from_mapping`.
 
     Its `name`, `question`, `path` and `seed` are those of the file; `kind` is `flights` or
-    `problems`.
+    `problems`. planned: the units and candidates, every case, and how they are run.
     """
 
-    folder: Path = Path()
+    planned: Plan
+    folder: Path
 
     @classmethod
     def from_file(cls, path: str | Path, results: str | Path | None = None) -> Study:
@@ -72,7 +93,7 @@ class Study(Definition):
         beside = Path(path).parent
         if beside.resolve().name == STUDIES:
             beside = Path(os.path.normpath(beside / ".."))
-        return cls._of(read_definition(path), beside, results)
+        return cls._of(plan_of(read_toml(path), str(path)), beside, results)
 
     @classmethod
     def from_mapping(
@@ -82,26 +103,30 @@ class Study(Definition):
         results: str | Path | None = None,
     ) -> Study:
         """The study of a mapping with the keys of a file; paths are relative to ``folder``."""
-        return cls._of(definition_of(document, str(Path(folder) / "study")), folder, results)
+        return cls._of(plan_of(document, str(Path(folder) / "study")), folder, results)
 
     @classmethod
-    def _of(cls, own: Definition, beside: str | Path, results: str | Path | None) -> Study:
+    def _of(cls, plan: Plan, beside: str | Path, results: str | Path | None) -> Study:
         home = Path(beside) / RESULTS if results is None else Path(results)
-        return cls(**vars(own), folder=home / own.name)
+        return cls(plan, home / plan.definition.name)
 
     def __repr__(self) -> str:
         return f"Study {self.name} of {self.kind}: {self.planned.size} cases, in {self.folder}"
 
-    @cached_property
-    def definition(self) -> Definition:
-        """The study file alone, which is passed to workers."""
-        return Definition(**{item.name: getattr(self, item.name) for item in fields(Definition)})
+    definition = property(lambda self: self.planned.definition)
+    name = property(lambda self: self.definition.name)
+    question = property(lambda self: self.definition.question)
+    seed = property(lambda self: self.definition.seed)
+    path = property(lambda self: self.planned.path)
+    kind = property(lambda self: self.planned.kind)
 
-    @cached_property
-    def planned(self) -> Plan:
-        """The units and candidates of this kind of study, every case, and how they are run."""
-        kind = FlightExperiment if self.kind == "flights" else ProblemExperiment
-        return kind(self.definition)
+    @property
+    def flights(self) -> FlightExperiment:
+        """The plan of a study of flights."""
+        if not isinstance(self.planned, FlightExperiment):
+            words = "is a study of regression problems, and flies nothing"
+            raise InputError(f"{self.path}: {words}: give a study of flights")
+        return self.planned
 
     @property
     def hash(self) -> str:
@@ -160,16 +185,15 @@ class Study(Definition):
             words = f"0 of {self.planned.size} cases are there; run them first"
             raise InputError(f"{self.folder}: {words}: sparsefit study run {self.path}")
         frame = frame.join(table[[name for name in table.columns if name not in frame.columns]])
-        if isinstance(self.design, ProblemDesign):
-            frame.attrs["limit"] = self.design.clock.limit
+        if isinstance(self.planned, ProblemExperiment):
+            frame.attrs["limit"] = self.planned.definition.clock.limit
         return frame
 
     @property
     def missing(self) -> dict[str, str]:
         """The solvers that cannot run here, with the reason; empty for flights."""
-        if not isinstance(self.design, ProblemDesign):
-            return {}
-        return {each.solver: each.missing for each in self.design.contenders if each.missing}
+        contenders = getattr(self.planned, "contenders", ())
+        return {each.solver: each.missing for each in contenders if each.missing}
 
     def counts(self) -> dict[str, Any]:
         """The numbers of units, candidates and cases, for JSON."""
@@ -201,7 +225,7 @@ class Study(Definition):
         unit, cell = self.planned.at(place)
         if self.kind == "flights":
             try:
-                ((_, reading),) = FlightDesk(self.definition).readings(unit, [cell])
+                ((_, reading),) = FlightDesk(self.flights).readings(unit, [cell])
             except InputError:
                 raise
             except Exception as error:
@@ -228,21 +252,21 @@ class Study(Definition):
         Args:
             candidate: its name in the column `candidate` of `plan()`.
         """
-        return estimator_of(self, self.flights.cells[self.cells_of(candidate)[0]])
+        return estimator_of(self.flights, self.flights.points[self.cells_of(candidate)[0]])
 
     def call(self, candidate: str) -> str:
         """The call of `sparsefit.fit` that solves a regression problem as a candidate does.
 
         A penalty that was chosen on the folds of each problem is `"auto"`: so it is there, too.
         """
-        design = self.design
-        if not isinstance(design, ProblemDesign):
+        plan = self.planned
+        if not isinstance(plan, ProblemExperiment):
             raise InputError(f"{self.path}: is a study of flights: call its `estimator`")
-        contender = design.contenders[self.cells_of(candidate)[0]]
+        contender = plan.contenders[self.cells_of(candidate)[0]]
         settings = dict(contender.settings)
-        if design.fractions and hasattr(contender.settled, "alpha_fraction"):
+        if plan.fractions and hasattr(contender.settled, "alpha_fraction"):
             settings["alpha_fraction"] = "auto"
-        centred = any(source.keys.intercept for source in design.problems)
+        centred = any(source.keys.intercept for source in plan.problems)
         settings |= {"intercept": True} if centred else {}
         words = "".join(f", {name}={value!r}" for name, value in settings.items())
         return f"sf.fit({'theta, target' if centred else 'problem'}, {contender.backend!r}{words})"
@@ -274,22 +298,23 @@ class Study(Definition):
         Its results are in the subfolder ``on-board``.
         """
         able = [name for name, title in self._titles.items() if title not in self.refusals]
-        return self._part(able, "on-board", on_board=True)
+        return self._part(able, self.flights, "on-board", on_board=True)
 
     def variant(self, candidates: Sequence[str], count: int) -> Study:
         """The study of these candidates on flights of a new seed, in the subfolder ``fresh``."""
         seed = int(sha256(f"fresh {self.seed}".encode()).hexdigest()[:8], 16)
-        design = replace(self.flights, count=count, validate_count=None)
-        return self._part(candidates, "fresh", seed=seed, design=design)
+        new = replace(self.flights, definition=replace(self.flights.definition, seed=seed))
+        return self._part(candidates, new, "fresh", count=count, validate_count=None)
 
-    def _part(self, candidates: Sequence[str], name: str, **changes: Any) -> Study:
-        """A study of these candidates in a subfolder; changes: of the definition."""
-        own = changes.pop("design", self.flights)
+    def _part(
+        self, candidates: Sequence[str], plan: FlightExperiment, name: str, **changes: Any
+    ) -> Study:
+        """A study of these candidates of a plan in a subfolder; changes: of the plan."""
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
-        cells = tuple(own.cells[cell] for cell in chosen)
-        design = replace(own, cells=cells, titles=self._titles)
-        changes |= {"name": name, "outputs": Outputs(), "design": design}
-        return replace(self, **changes, folder=self.folder / name)
+        points = tuple(plan.points[cell] for cell in chosen)
+        file = replace(plan.definition, name=name, outputs=Outputs())
+        part = replace(plan, definition=file, points=points, titled=self._titles, **changes)
+        return Study(part, self.folder / name)
 
     @property
     def latencies(self) -> dict[str, Latency]:
@@ -310,7 +335,7 @@ class Study(Definition):
         for done, name in enumerate(trials):
             if progress:
                 progress(done, len(trials), None)
-            latencies[name] = measured(self.definition, self.cells_of(name), flights)
+            latencies[name] = measured(self.flights, self.cells_of(name), flights)
         if trials:
             write_latencies(self.hash, self.folder, latencies)
         return {name: latencies[name] for name in candidates}

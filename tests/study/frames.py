@@ -58,7 +58,7 @@ def solve(problem, solver, seconds, excess=1e-12, status="ok", **more):
 def study(cases, *, tmp="", rule=None, **outputs):
     """A study of cases that are there, as the pages see it."""
     kind = "problems" if "objective" in cases else "flights"
-    definition = SimpleNamespace(outputs=Outputs(**outputs), selection=rule or select_rule())
+    definition = SimpleNamespace(outputs=Outputs(**outputs), select=rule or select_rule())
     return SimpleNamespace(
         name="demo", question="Which?", path=f"{tmp}/demo.toml", seed=1, hash="ab" * 32, kind=kind,
         folder=tmp, cases=cases, definition=definition, latencies={}, plan=lambda: cases,

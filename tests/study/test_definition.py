@@ -9,7 +9,7 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study.flight_experiment import FlightExperiment
-from sparsefit.study.plan import Definition, read_definition
+from sparsefit.study.study import Study
 
 GOOD = """
 name = "good"
@@ -59,14 +59,10 @@ tolerance = 1e-6
 """
 
 
-def load(tmp_path: Path, text: str) -> Definition:
+def load(tmp_path: Path, text: str) -> FlightExperiment:
     path = tmp_path / "x.toml"
     path.write_text(text, encoding="utf-8")
-    return read_definition(path)
-
-
-def hash_of(definition: Definition) -> str:
-    return FlightExperiment(definition).hash
+    return Study.from_file(path).flights
 
 
 def refusal(tmp_path: Path, text: str) -> str:
@@ -84,15 +80,16 @@ def changed(old: str, new: str) -> str:
 
 def test_reads_what_was_written(tmp_path: Path) -> None:
     study = load(tmp_path, GOOD)
-    assert (study.name, study.seed, study.flights.count) == ("good", 20201120, 6)
-    assert (study.rules.case_timeout, study.rules.tolerance) == (30.0, 1e-6)
-    assert study.flights.count * len(study.flights.cells) == 6 * 2 * 2 * 3
-    assert list(dict.fromkeys(c.backend.label for c in study.flights.cells)) == ["lasso", "literal"]
+    file = study.definition
+    assert (file.name, file.seed, study.count) == ("good", 20201120, 6)
+    assert (file.run.case_timeout, file.run.tolerance) == (30.0, 1e-6)
+    assert study.count * len(study.points) == 6 * 2 * 2 * 3
+    assert list(dict.fromkeys(c.backend.label for c in study.points)) == ["lasso", "literal"]
     bare = load(tmp_path, GOOD.replace('"derivative.method"', "derivative.method"))
-    assert bare.flights.protocols == study.flights.protocols
+    assert bare.protocols == study.protocols
     swept = GOOD.replace('"flights.velocity_noise"', "flights.velocity_noise")
-    assert hash_of(bare) == hash_of(load(tmp_path, swept)) == hash_of(study)
-    parts = [study.flights.split(flight) for flight in range(6)]  # which are interleaved
+    assert bare.hash == load(tmp_path, swept).hash == study.hash
+    parts = [study.split(flight) for flight in range(6)]  # which are interleaved
     assert (parts.count("validate"), parts.count("evaluate")) == (2, 4)
     assert "evaluate" in parts[:3]
     assert "validate" in parts[3:]
@@ -100,9 +97,9 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
 
 def test_defaults(tmp_path: Path) -> None:
     study = load(tmp_path, GOOD.split("[[protocols]]")[0])
-    assert study.flights.protocols == {"default": {}}
-    assert {study.flights.split(i) for i in range(6)} == {"all"}
-    assert (study.rules.case_timeout, study.rules.tolerance) == (60.0, 1e-8)
+    assert study.protocols == {"default": {}}
+    assert {study.split(i) for i in range(6)} == {"all"}
+    assert (study.definition.run.case_timeout, study.definition.run.tolerance) == (60.0, 1e-8)
 
 
 def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
@@ -207,11 +204,11 @@ def test_not_toml_not_text_not_there_not_a_file(tmp_path: Path) -> None:
         assert refusal(tmp_path, text).startswith(f":{line}: not TOML")
     (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="UTF-8"):
-        read_definition(tmp_path / "x.toml")
+        Study.from_file(tmp_path / "x.toml")
     with pytest.raises(InputError, match="No such file"):
-        read_definition(tmp_path / "y.toml")
+        Study.from_file(tmp_path / "y.toml")
     with pytest.raises(InputError, match=r"cannot read .*: it is a folder"):
-        read_definition(tmp_path)
+        Study.from_file(tmp_path)
 
 
 def test_too_many_cases_are_refused_with_their_number(tmp_path: Path) -> None:
@@ -224,10 +221,10 @@ def test_too_many_cases_are_refused_with_their_number(tmp_path: Path) -> None:
 def test_hash_is_of_the_content(tmp_path: Path) -> None:
     same = "# a comment\n" + changed("duration = 2.0", "duration   =   2")
     shown = changed("Which back-end", "Which solver")
-    hashes = [hash_of(load(tmp_path, text)) for text in (GOOD, same, shown)]
+    hashes = [load(tmp_path, text).hash for text in (GOOD, same, shown)]
     assert len(set(hashes)) == 1
     others = changed("20201120", "20201121"), changed("2.0, 10.0", "2.0, 9.0")
-    hashes += [hash_of(load(tmp_path, text)) for text in others]
+    hashes += [load(tmp_path, text).hash for text in others]
     assert len(set(hashes)) == 3
 
 
@@ -240,7 +237,7 @@ def test_settings_that_only_fit_together(tmp_path: Path) -> None:
     assert "order" in refusal(tmp_path, text)
     text = text.replace('name = "better"', 'name = "better"\n"derivative.order" = 2')
     text = text.replace('"derivative.method" = "savgol"', '"derivative.order" = 1')
-    assert len(load(tmp_path, text).flights.cells) == 2 * 4 * 3
+    assert len(load(tmp_path, text).points) == 2 * 4 * 3
 
 
 @pytest.mark.parametrize("where", ["", '[[protocols]]\nname = "w"\nreadout.'])
@@ -269,5 +266,5 @@ def test_bombs_are_refused_in_bounded_time(tmp_path: Path, bomb: str, said: str)
     (tmp_path / "x.toml").write_text(bomb, encoding="utf-8")
     began = time.process_time()
     with pytest.raises(InputError, match=said):
-        read_definition(tmp_path / "x.toml")
+        Study.from_file(tmp_path / "x.toml")
     assert time.process_time() - began < 1.0

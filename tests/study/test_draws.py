@@ -71,8 +71,8 @@ def together(tmp_path, more="", rest=""):
 
 def test_more_flights_hold_the_fewer_and_are_bounded_together(tmp_path):
     swept = together(tmp_path, rest='[sweep]\n"flights.together" = [1.0, 3.0]')
-    rules = [cell.setup.flights for cell in swept.definition.flights.cells]
-    both = [fly(swept.definition, 1, each) for each in rules]
+    rules = [cell.setup.flights for cell in swept.planned.points]
+    both = [fly(swept.planned, 1, each) for each in rules]
     (one, least), (three, less) = ((flown.fleet, flown.bounds) for flown in both)
     assert (len(one), len(three)) == (1, 3)
     np.testing.assert_array_equal(one[0].position, three[0].position)
@@ -83,8 +83,8 @@ def test_more_flights_hold_the_fewer_and_are_bounded_together(tmp_path):
 
 def test_the_bound_is_no_less_than_that_of_known_phases(tmp_path):
     swept = together(tmp_path, rest='[sweep]\n"flights.together" = [1.0, 3.0]')
-    cell = swept.definition.flights.cells[0]
-    flown, draw = fly(swept.definition, 1, cell.setup.flights), cell.setup.flights.draw(1, 2, 5)
+    cell = swept.planned.points[0]
+    flown, draw = fly(swept.planned, 1, cell.setup.flights), cell.setup.flights.draw(1, 2, 5)
     flow, steps = draw.flow, ((1e-6, 0.0), (0.0, 1e-6))
 
     def velocity(h, g):
@@ -146,7 +146,7 @@ def load_logs(folder, text=LOGGED):
 
 def test_every_log_is_cut_into_whole_pieces_of_each_length(folder, flight):
     study = load_logs(folder)
-    rules = study.definition.flights.cells[0].setup.flights
+    rules = study.planned.points[0].setup.flights
     draws = [rules.draw(number, 6, 0) for number in range(6)]
     labels = [draw.label for draw in draws]
     assert labels == [
@@ -163,7 +163,7 @@ def test_every_log_is_cut_into_whole_pieces_of_each_length(folder, flight):
 
 def test_cases_of_logs_have_an_estimate_and_no_error(folder):
     study = load_logs(folder)
-    desk = FlightDesk(study.definition)
+    desk = FlightDesk(study.planned)
     (row,) = desk.cases(2, [0])["rows"]
     assert study.planned.truth(2, 0) == {"flow": "unknown", "log": "a.csv 0-9.99 s"}
     assert row[1] == "ok"
@@ -210,7 +210,7 @@ def test_on_board_candidates_are_flown_and_the_others_refused(tmp_path):
     assert flown.folder == study.folder / "on-board"
     assert flown.plan()["title"].tolist() == ["rms"] * 2
     assert not set(flown.plan()["case_id"]) & set(study.plan()["case_id"])
-    (row,) = FlightDesk(flown.definition).cases(0, [0])["rows"]
+    (row,) = FlightDesk(flown.planned).cases(0, [0])["rows"]
     assert row[1] == "unidentifiable"  # two seconds are few for a board
     alone = together(tmp_path, rest='[readout]\nmean_velocity = "paper"')
     with pytest.raises(InputError, match="no candidate can fly"):

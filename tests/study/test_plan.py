@@ -50,7 +50,7 @@ def load(tmp_path: Path, text: str) -> Study:
 
 
 def draws(study: Study) -> list[Draw]:
-    rules = study.definition.flights.cells[0].setup.flights
+    rules = study.planned.points[0].setup.flights
     return [rules.draw(flight, 5, study.seed) for flight in range(5)]
 
 
@@ -158,7 +158,7 @@ def test_backends_and_levels_share_their_flights(tmp_path: Path) -> None:
     """Common random numbers: only what is swept differs between levels."""
     plain = draws(load(tmp_path, HEAD + LASSO))
     study = load(tmp_path, HEAD + LASSO + REST)
-    cells = study.definition.flights.cells
+    cells = study.planned.points
     quiet, noisy = dict.fromkeys(cell.setup.flights for cell in cells)
     for flight, alone in enumerate(plain):
         low, high = (rules.draw(flight, 5, 5) for rules in (quiet, noisy))

@@ -105,7 +105,7 @@ def test_one_s_own_solver_is_compared_by_its_settings(own):
     assert (cases.loc[cases["solver"] == "plain steps=1", "status"] == "inaccurate").all()
     assert cases.attrs == {"limit": 5.0}
     assert own.missing == {}
-    assert own.definition.selection.criterion == "mean holdout-error"
+    assert own.definition.select.criterion == "mean holdout-error"
     assert own.run().computed == 0
 
 
@@ -298,7 +298,7 @@ def test_a_changed_file_of_a_command_is_another_case(tmp_path):
 def test_a_criterion_that_is_given_is_not_replaced(tmp_path):
     given = f'{PROBLEMS}{CORRELATED}[[backends]]\nname = "lasso"\n[select]\ncriterion = '
     study = load(tmp_path, f'{given}"mean timescale-error"\n')
-    assert study.definition.selection.criterion == "mean timescale-error"
+    assert study.definition.select.criterion == "mean timescale-error"
 
 
 def test_a_data_set_without_its_package_is_refused_before_any_work(tmp_path, monkeypatch, capsys):

@@ -324,7 +324,7 @@ def test_the_version_is_that_of_every_file_that_can_change_a_number():
         "sparsefit.study.problem_experiment, sparsefit.solvers.registry\n"
         "from sparsefit.study.flight_desk import FlightDesk\n"
         "from types import SimpleNamespace as Some\n"
-        "FlightDesk(Some(flights=Some(cells=())))\n"  # which estimates once
+        "FlightDesk(Some(points=()))\n"  # which estimates once
         "print('\\n'.join(m.__file__ for n, m in sys.modules.items() "
         "if n.startswith('sparsefit') and getattr(m, '__file__', None)))"
     )
