@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> Reply:
       sparsefit select studies/NAME.toml --on-board && sparsefit export estimator.json --c flow
     """
     from sparsefit.study import evidence
-    from sparsefit.study.selection import check, headline, lines, select
+    from sparsefit.study.selection import headline, lines, select
 
     study, _ = stored(args, whole=True)
     args.stopped = "stopped; run the same command again to continue"
@@ -71,7 +71,8 @@ def run(args: argparse.Namespace) -> Reply:
     chosen, checked = selection.chosen, None
     if chosen is not None and rule.check and of_flights:
         fresh = _ran(flown.variant(selection.contenders, rule.check), args)
-        checked = check(selection, fresh.cases)
+        options = {"latencies": latencies, "candidate": chosen.candidate}
+        checked = select(fresh, rule, **options)
     path = evidence.write_selection(study, selection, check=checked)[-1]
     record = evidence.record(selection, checked) | {"evidence": str(path)}
     usage = f"use it: sparsefit estimate FLIGHT --estimator {args.output}"

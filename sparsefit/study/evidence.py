@@ -17,7 +17,7 @@ from sparsefit.study.figures import Picture
 from sparsefit.study.measures import factors
 from sparsefit.study.page import Code, drawing, files_of, joined, linked, to_html
 from sparsefit.study.panels import Curve, Panel, drawn
-from sparsefit.study.selection import Check, Selection, headline, lines, verdict
+from sparsefit.study.selection import Selection, headline, lines, verdict
 from sparsefit.study.table import Column, Row, Table
 from sparsefit.study.tables import FAILURES
 from sparsefit.whole_file import write_files
@@ -89,7 +89,7 @@ def _latencies(selection: Selection, ranked: Sequence[Any]) -> Table:
     return Table(f"Latency and memory ({selection.study})", columns, rows, (note,))
 
 
-def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
+def record(selection: Selection, check: Selection | None = None) -> dict[str, Any]:
     """Return the selection for JSON."""
     made, chosen, cases = tables(selection), selection.chosen, selection.cases
     of: dict[str, Any] = {name: getattr(selection, name) for name in ("study", "units", "refused")}
@@ -111,9 +111,19 @@ def record(selection: Selection, check: Check | None = None) -> dict[str, Any]:
         of |= {"interval": chosen.between, "by_regime": dict(regimes)}
         of |= {"regret": selection.regret.effect if selection.regret else None}
         of |= {"latency": selection.latencies.get(chosen.candidate)}
-        of |= {"check": asdict(check) if check else None}
+        of |= {"check": _checked(check) if check else None}
     cleaned: dict[str, Any] = finite_or_none(of)
     return cleaned
+
+
+def _checked(check: Selection) -> dict[str, Any]:
+    """Return what the chosen candidate scored on fresh flights, for JSON."""
+    (units,), chosen, best = check.units.values(), check.chosen, check.hindsight
+    of: dict[str, Any] = {"units": units, "candidates": len(check.ranked)}
+    of |= {"score": chosen.evaluate, "between": chosen.between}
+    of |= {"broken": [asdict(breach) for breach in chosen.broken]}
+    of |= {"regret": asdict(check.regret) if check.regret else None}
+    return of | {"hindsight": best.title if best else None}
 
 
 def provenance(study: Any, selection: Selection) -> dict[str, Any]:
@@ -169,7 +179,7 @@ def _drawn(selection: Selection, timed: Sequence[tuple[Any, float, float]]) -> F
 
 
 def write_selection(
-    study: Any, selection: Selection, folder: Path | None = None, check: Check | None = None
+    study: Any, selection: Selection, folder: Path | None = None, check: Selection | None = None
 ) -> list[Path]:
     """Write the tables and the figure of a selection, evidence.html and evidence.md, the last."""
     said, made, picture = list(lines(selection, check)), tables(selection), pareto(selection)

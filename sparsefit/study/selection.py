@@ -22,7 +22,6 @@ from sparsefit.study.measures import ROUNDING, factors
 from sparsefit.study.table import listed, significant
 from sparsefit.study.trials import (
     LIMITS,
-    Breach,
     Criterion,
     Difference,
     Trials,
@@ -89,29 +88,13 @@ class Selection:
         return "\n".join([headline(self), *(f"- {line}" for line in lines(self))])
 
 
-@dataclass(frozen=True)
-class Check:
-    """The score of the chosen candidate on units of a new seed, and its regret there.
-
-    score, between: the criterion and its 95 % interval; broken: violated constraints;
-    hindsight: the title of the best candidate; candidates: the number that was run.
-    """
-
-    units: int
-    score: float
-    between: tuple[float, float]
-    regret: Difference
-    hindsight: str
-    broken: tuple[Breach, ...]
-    candidates: int
-
-
 def select(
     study: Any,
     rule: Any = None,
     *,
     latencies: Mapping[str, Any] | None = None,
     refusals: Mapping[str, str] | None = None,
+    candidate: str = "",
     **options: Any,
 ) -> Selection:
     """Select a candidate by a rule, by default that of the study.
@@ -120,6 +103,7 @@ def select(
         latencies: `median` [s], `p99` [s], `memory` [MB] and `busy` (share) by candidate, as the
             study has stored them unless given; a candidate without keeps no limit of either.
         refusals: by title why a candidate cannot be on board, where that is asked for.
+        candidate: one that was chosen before and is checked here, on all units.
         options: of [select], in place of those of the rule.
 
     Raises:
@@ -129,10 +113,10 @@ def select(
     rule = rule or study.definition.select
     rule = rule.changed(**options) if options else rule
     cases, refused = study.cases, dict(refusals or {})
-    _check_split(study, cases)
+    _check_split(study, cases, is_split=not candidate)
     cases = cases[~cases["title"].isin(refused)]
     criterion = _criterion(rule, cases)
-    if not np.isfinite(criterion.measure.read(cases)).any():
+    if not candidate and not np.isfinite(criterion.measure.read(cases)).any():
         flown = " (for predictions, set [run] prediction_flights)" * (study.kind == "flights")
         raise InputError(
             f"{study.name} has no case with a number for {criterion.measure.words}: choose by "
@@ -154,6 +138,7 @@ def select(
     within = [at for at in passing if first.loss[at] <= limit]
     # The first listed is the simplest; an infinite loss recommends nobody.
     chosen = min(within) if math.isfinite(best) else None
+    chosen = first.candidates.index(candidate) if candidate else chosen
     places = range(len(order))
     values: dict[str, Any] = {
         "validate": criterion.sign * first.loss, "evaluate": criterion.sign * last.loss,
@@ -231,7 +216,7 @@ def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
         return Criterion(measure, regimes, rule.over)
 
 
-def _check_split(study: Any, cases: pd.DataFrame) -> None:
+def _check_split(study: Any, cases: pd.DataFrame, *, is_split: bool = True) -> None:
     """Refuse an unfinished study, and flights without a split."""
     planned = len(study.plan())
     if len(cases) < planned or cases.empty:
@@ -240,24 +225,11 @@ def _check_split(study: Any, cases: pd.DataFrame) -> None:
             "finish it first (sparsefit study run)"
         )
     missing = {"validate", "evaluate"} - set(cases["split"])
-    if missing and study.kind == "flights":
+    if missing and study.kind == "flights" and is_split:
         raise InputError(
             f"{study.name} has no flights to {' or to '.join(sorted(missing))}: "
             "give the study file a [split] with validate and evaluate"
         )
-
-
-def check(selection: Selection, cases: pd.DataFrame) -> Check:
-    """Return the check of a selection on the cases of new units of the same candidates."""
-    if selection.chosen is None:
-        raise ValueError("nothing was chosen")
-    titles = dict(zip(cases["candidate"], cases["title"], strict=True))
-    trials = Trials(cases, list(titles), selection.criterion, 0)
-    own = list(titles).index(selection.chosen.candidate)
-    best = min(range(len(titles)), key=lambda at: (float(trials.loss[at]), at != own))
-    broken = trials.breaches(selection.rule, selection.latencies)[own]
-    return Check(trials.shape[1], *trials.score(own), trials.against(own, best),
-                 str(list(titles.values())[best]), broken, len(titles))  # fmt: skip
 
 
 def headline(selection: Selection) -> str:
@@ -279,8 +251,11 @@ def headline(selection: Selection) -> str:
     return f"Use {f'{reading} with {backend}' if reading else chosen.title}."
 
 
-def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
-    """Give the score, the rule, ties, the regret, the worst regime and the latency in lines."""
+def lines(selection: Selection, check: Selection | None = None) -> Iterator[str]:
+    """Give the score, the rule, ties, the regret, the worst regime and the latency in lines.
+
+    check: the same candidates on flights of fresh seeds.
+    """
     criterion, chosen, rule = selection.criterion, selection.chosen, selection.rule
     regimes, units = criterion.regimes, [*map(selection.counted, selection.units.values())]
 
@@ -329,10 +304,11 @@ def lines(selection: Selection, check: Check | None = None) -> Iterator[str]:
         yield (f"Latency: median {median} ms, 99th percentile {slowest} ms, BLAS on one thread"
                f"{loud}.")  # fmt: skip
     if check is not None:
-        against = f"{criterion.say(check.regret.effect)} against {check.hindsight}"
-        broken = "".join(f"; broken: {each.words}" for each in check.broken)
-        regret = "none" if check.regret.identical else against
-        value = f"{scored(check.score, check.between)} on {selection.counted(check.units)}"
+        here, gap, regret = check.chosen, check.regret, "none"
+        if gap is not None and not gap.identical:
+            regret = f"{criterion.say(gap.effect)} against {check.hindsight.title}"
+        broken = "".join(f"; broken: {each.words}" for each in here.broken)
+        value = f"{scored(here.evaluate, here.between)} on {check.counted(*check.units.values())}"
         yield f"Fresh seeds: {value}, regret {regret}{broken}."
 
 

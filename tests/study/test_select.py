@@ -8,7 +8,7 @@ from sparsefit.errors import InputError
 from sparsefit.study.evidence import provenance, record, tables, write_selection
 from sparsefit.study.latency import Latency
 from sparsefit.study.measures import measure
-from sparsefit.study.selection import check, headline, lines, select
+from sparsefit.study.selection import headline, lines, select
 from tests.study.frames import case, frame, select_rule, solve, study
 
 FLIGHTS = 12
@@ -241,9 +241,10 @@ def test_fresh_flights_check_the_choice(tmp_path):
     times = {"lasso": Latency(0.01, 0.02, 90.0, 50), "stlsq": Latency(0.1, 0.12, 90.0, 50)}
     selection = chosen(made, latencies=times, margin=0.6)
     assert selection.contenders == ["lasso", "stlsq"]
-    told = check(selection, cases({"lasso": (4.0, 4.0), "stlsq": (1.0, 1.0)}, flights=20))
-    assert (told.units, told.score) == (20, pytest.approx(4.0))
-    assert (told.hindsight, told.regret.effect) == ("stlsq", pytest.approx(3.0))
+    new = cases({"lasso": (4.0, 4.0), "stlsq": (1.0, 1.0)}, flights=20).assign(split="all")
+    told = select(study(new), selection.rule, latencies=times, candidate="lasso")
+    assert (told.units, told.chosen.evaluate) == ({"all": 20}, pytest.approx(4.0))
+    assert (told.hindsight.title, told.regret.effect) == ("stlsq", pytest.approx(3.0))
     files = {path.name: path for path in write_selection(study(made), selection, tmp_path, told)}
     assert list(files)[-1] == "evidence.md"
     assert "Fresh seeds: 4.00 %" in files["evidence.md"].read_text()
