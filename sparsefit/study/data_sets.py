@@ -122,47 +122,21 @@ def _read_arrays(path: Path) -> Data:
     return Data(theta, content["target"], content.get("groups"), used)
 
 
-def columns_of(path: Path, target: Sequence[str]) -> list[str]:
-    """The names of the columns of theta in a file; of a NumPy file, their numbers.
-
-    Raises:
-        InputError: if there is no such file, it is too large, holds no theta or target, or
-            anything but numbers.
-    """
-    one_of("file type", path.suffix.lower() or path.name, (".npz", ".csv", ".parquet"))
-    if path.suffix.lower() == ".npz":
-        if target:
-            raise InputError(f"{path}: has its target as an array of that name: drop the key")
-        return list(map(str, range(_read_arrays(path).theta.shape[-1])))
-    names, _ = _read_table(path, ())
-    if not all(names) or any(name.startswith("__index") for name in names):
-        raise InputError(f"{path}: a column has no name: name it, or write with index=False")
-    if not target:
-        raise InputError(f'{path}: needs target = "COLUMN": the column that is to be predicted')
-    for name in target:
-        if name not in names:
-            raise InputError(f'{path}: has no column "{name}"{suggestion(name, names)}')
-    if not (others := [name for name in names if name not in target]):
-        raise InputError(f"{path}: has no column beside the target")
-    return others
-
-
-def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
-    """The names of the columns of a table, and those in ``order`` (m, k), read in batches."""
+def _read_table(path: Path) -> tuple[list[str], Array]:
+    """The names and the columns (m, c) of a table of numbers, counted before it is unpacked."""
     import pyarrow
     from pyarrow import csv, parquet, types
 
-    real, parts, count = pyarrow.float64(), [np.empty((0, len(order)))], 0
+    real = pyarrow.float64()
     with regular_file(path, most=MOST_BYTES) as file, _refused(path):
         if path.suffix.lower() == ".csv":
-            head = file.readline(LONGEST_LINE).decode("utf-8-sig")
+            head, lines = file.readline(LONGEST_LINE).decode("utf-8-sig"), 0
             between = max(",;\t", key=head.count)
             (names,) = reader([head], delimiter=between)
-            lines = 0
-            while block := file.read(LONGEST_LINE):  # before any is unpacked
+            while block := file.read(LONGEST_LINE):
                 lines += max(block.count(b"\n"), block.count(b"\r"))
                 _check_size(path, lines * len(names))
-            batches = csv.open_csv(
+            table = csv.read_csv(
                 path,  # read ahead in a thread, in which a file of Python may not outlive its end
                 csv.ReadOptions(block_size=LONGEST_LINE),  # which no line is longer than
                 csv.ParseOptions(delimiter=between),
@@ -170,20 +144,15 @@ def _read_table(path: Path, order: Sequence[str]) -> tuple[list[str], Array]:
             )
         else:
             source = parquet.ParquetFile(path)
-            schema, batches = source.schema_arrow, source.iter_batches()
-            names = schema.names
+            names = source.schema_arrow.names
             _check_size(path, source.metadata.num_rows * len(names))
             numbers = types.is_integer, types.is_floating, types.is_boolean, types.is_decimal
-            for name in order:  # a text or a list may unpack to anything
-                kind = schema.field(name).type
-                if not any(each(kind) for each in numbers):
-                    raise InputError(f"{path}: {name} holds {kind}, and only numbers are read")
-        for batch in batches if order else ():
-            count += batch.num_rows * len(names)
-            _check_size(path, count)
-            columns = [batch[name].cast(real).to_numpy(zero_copy_only=False) for name in order]
-            parts.append(np.column_stack(columns))
-    return names, np.concatenate(parts)
+            for field in source.schema_arrow:  # a text or a list may unpack to anything
+                if not any(each(field.type) for each in numbers):
+                    kind = f"{field.name} holds {field.type}"
+                    raise InputError(f"{path}: {kind}, and only numbers are read")
+            table = source.read()
+        return names, np.column_stack([column.cast(real).to_numpy() for column in table.columns])
 
 
 def _check_size(path: Path, values: int) -> None:
@@ -193,16 +162,39 @@ def _check_size(path: Path, values: int) -> None:
         raise InputError(f"{path}: {words}: take fewer samples or columns")
 
 
-def read_data(path: Path, target: Sequence[str] = (), columns: Sequence[str] = ()) -> Data:
-    """The arrays of a file, of a table in the order of ``columns``. Raises as `columns_of`."""
+def read_data(path: Path, target: Sequence[str] = (), like: Data | None = None) -> Data:
+    """The arrays of a file; of a table its columns in their order, or in that of another's.
+
+    Raises:
+        InputError: if there is no such file, it is too large, holds no theta or target, anything
+            but numbers, or other columns than the data that it is to be like.
+    """
+    one_of("file type", path.suffix.lower() or path.name, (".npz", ".csv", ".parquet"))
     if path.suffix.lower() == ".npz":
-        return _read_arrays(path)
-    order = [*(columns or columns_of(path, target)), *target]
-    (_, arrays), count = _read_table(path, order), len(order) - len(target)
+        if target:
+            raise InputError(f"{path}: has its target as an array of that name: drop the key")
+        data = _read_arrays(path)
+        if like is not None and data.theta.shape[-1] != like.theta.shape[-1]:
+            raise InputError(f"{path}: its rows have other columns")
+        return data
+    names, arrays = _read_table(path)
+    if not all(names) or any(name.startswith("__index") for name in names):
+        raise InputError(f"{path}: a column has no name: name it, or write with index=False")
+    if not target:
+        raise InputError(f'{path}: needs target = "COLUMN": the column that is to be predicted')
+    for name in target:
+        if name not in names:
+            raise InputError(f'{path}: has no column "{name}"{suggestion(name, names)}')
+    if not (others := [name for name in names if name not in target]):
+        raise InputError(f"{path}: has no column beside the target")
+    columns = like.names if like and like.names else others
+    if sorted(columns) != sorted(others):
+        raise InputError(f"{path}: its rows have other columns")
     for row, column in np.argwhere(~np.isfinite(arrays))[:1]:
         words = "holds no finite number: fill it, or leave the row out"
-        raise InputError(f'{path}: column "{order[column]}" of row {row + 1} {words}')
-    return Data(arrays[:, :count], arrays[:, count:], names=tuple(order[:count]))
+        raise InputError(f'{path}: column "{names[column]}" of row {row + 1} {words}')
+    theta, held = (arrays[:, [names.index(name) for name in own]] for own in (columns, target))
+    return Data(theta, held, names=tuple(columns))
 
 
 def digest_of(path: Path) -> str:

@@ -67,7 +67,7 @@ class ProblemSource:
     """One problem: the source of its arrays, and their alteration.
 
     series: the entry it belongs to; identity: what determines its numbers; keys: of the entry;
-    test: reads the rows that are held out in a file.
+    test: the rows that are held out in a file.
     """
 
     name: str
@@ -77,7 +77,7 @@ class ProblemSource:
     alter: str
     seed: int
     keys: ProblemKeys
-    test: Callable[[], data_sets.Data] | None
+    test: data_sets.Data | None
 
     def build(self) -> data_sets.Data:
         """The arrays of the problem, checked as a regression problem.
@@ -88,7 +88,7 @@ class ProblemSource:
         try:
             data = self.make().real()
             if self.test is not None:
-                rows = self.test().real()
+                rows = self.test.real()
                 data = replace(data, test=(rows.theta, rows.target))
             if self.keys.intercept:
                 data = data.centred()
@@ -268,14 +268,11 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     if kind == "file":
         schema.distinct(keys.target or ("",), place.at("target"))
         path = folder / keys.file
-        name, columns = keys.name or path.stem, data_sets.columns_of(path, keys.target)
-        read = partial(data_sets.read_data, target=keys.target, columns=columns)
-        made = [(partial(read, path), data_sets.digest_of(path))]
+        name, data = keys.name or path.stem, data_sets.read_data(path, keys.target)
+        made = [(lambda: data, data_sets.digest_of(path))]
         if keys.test:
             path = folder / keys.test
-            if sorted(columns) != sorted(data_sets.columns_of(path, keys.target)):
-                raise place.at("test").error(f'"{keys.test}": its rows have other columns')
-            test, beside = partial(read, path), data_sets.digest_of(path)
+            test, beside = data_sets.read_data(path, keys.target, data), data_sets.digest_of(path)
     elif kind == "dataset":
         made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":
