@@ -28,9 +28,8 @@ from sparsefit.whole_file import read_whole, write_whole
 MANIFEST = "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
 STUDY = (  # files of `study/` that no number of a case depends on
-    *("__init__", "compare", "entries", "evidence", "figures"),
-    *("latency", "measures", "page", "panels", "runner"),
-    *("selection", "solver_times", "store", "study", "table", "tables", "trials"),
+    *("__init__", "compare", "entries", "evidence", "figures", "measures", "page", "panels"),
+    *("runner", "selection", "solver_times", "store", "study", "table", "tables", "trials"),
 )
 # No number of a case depends on these: they run, store and show.
 NOT_COMPUTING = {"cli", "plot", "__main__.py", "sklearn.py", "pysindy.py"} | {

@@ -27,12 +27,12 @@ from sparsefit.study.columns import Outcome
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import FlightFile, Heading, Outputs, ProblemFile
-from sparsefit.study.latency import Latency, measured, read_latencies, write_latencies
 from sparsefit.study.plan import Batch, Plan
 from sparsefit.study.problem_experiment import ProblemExperiment
 from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, outcomes, run
 from sparsefit.study.schema import Section, read_toml, taken
 from sparsefit.study.store import Store, cases_table, read_cases
+from sparsefit.study.trials import Latency, measured, read_latencies, write_latencies
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,9 +15,9 @@ from sparsefit.cli import main
 from sparsefit.cli.terminal import Progress
 from sparsefit.estimator.estimator import Estimator
 from sparsefit.study import evidence, study
-from sparsefit.study.latency import Latency
 from sparsefit.study.store import read_cases
 from sparsefit.study.study import Study
+from sparsefit.study.trials import Latency
 from tests.cli.verbs import refused, run
 from tests.study.small_study import small_study
 

@@ -6,9 +6,9 @@ import pytest
 
 from sparsefit.errors import InputError
 from sparsefit.study.evidence import provenance, record, tables, write_selection
-from sparsefit.study.latency import Latency
 from sparsefit.study.measures import measure
 from sparsefit.study.selection import headline, lines, select
+from sparsefit.study.trials import Latency
 from tests.study.frames import case, frame, select_rule, solve, study
 
 FLIGHTS = 12
