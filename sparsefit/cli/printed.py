@@ -12,6 +12,7 @@ from sparsefit.codec import finite_or_none
 from sparsefit.errors import one_line
 from sparsefit.estimator.estimate import FINEST, PARAMETERS, FlightEstimate, decimals
 from sparsefit.flight.record import FRAMES
+from sparsefit.likelihood.causes import FREEDOMS
 
 if TYPE_CHECKING:
     from sparsefit.estimator.estimate import Estimate
@@ -20,13 +21,6 @@ if TYPE_CHECKING:
     from sparsefit.logs.checks import LogQuality
 
 Rows: TypeAlias = Iterator[tuple[str, str]]
-OF_VEHICLE = (  # label, attribute, unit
-    ("response time  tau", "response_time", "s"),
-    ("drag", "drag", "1/m"),
-    ("thrust scale", "thrust_scale", ""),
-    ("thrust         a", "thrust_acceleration", "m/s^2"),
-    ("wind", "wind", "m/s"),
-)
 SHAPES = {
     "axis": "square cells along the axes",
     "square": "square cells",
@@ -101,10 +95,12 @@ def _quantity(label: str, record: Any, name: str, unit: str, spreads: Uncertaint
 
 
 def _vehicle(owner: FlightEstimate) -> Rows:
-    for label, name, unit in OF_VEHICLE:
-        value = getattr(owner, name)
+    spreads: Any = owner.vehicle_uncertainty or {}
+    for name, cause in FREEDOMS.items():
+        value = owner.causes.get(name, getattr(owner, name, None))
         if value is not None and value == value:
-            yield from _quantity(label, owner, name, unit, owner.vehicle_uncertainty)
+            ends = spreads.get(f"{name}_interval")
+            yield name.replace("_", " "), measured(value, cause.unit, spreads.get(name), ends)
 
 
 def _answer(estimate: Estimate, noisy: bool) -> Rows:

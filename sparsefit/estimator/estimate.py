@@ -111,6 +111,7 @@ class FlightEstimate:
     thrust_scale: float = math.nan  #: of the measured acceleration
     thrust_acceleration: Pair | None = None  #: [m/s^2], (x, y)
     wind: Pair | None = None  #: [m/s], (x, y)
+    causes: dict[str, float | Pair] = field(default_factory=dict)  #: others that were freed, in SI
     vehicle_uncertainty: Uncertainty | None = None  #: of those that were estimated
     samples: int = 0  #: that were fitted
     goodness: Goodness | None = None  #: of the fit
@@ -127,17 +128,20 @@ def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) 
     base = {"thrust_acceleration": believed.thrust_acceleration} if steady else {}
     shares = {"drag": 1.0 / leg.model.values["response_time"]}
     values, errors, absent = dict[str, Any](), dict[str, Any](), dict[str, None]()
-    for name in (item.name for item in fields(FlightEstimate) if item.name in FREEDOMS):
-        own, share = FREEDOMS[name].elements, shares.get(name, 1.0)
-        absent |= {name: None, f"{name}_interval{'s' * (len(own) > 1)}": None}
-        if own[0] in leg.model.names:
+    known = {item.name for item in fields(FlightEstimate)}
+    for name, cause in FREEDOMS.items():
+        own, share = cause.elements, shares.get(name, 1.0)
+        if name in known:
+            absent |= {name: None, f"{name}_interval{'s' * (len(own) > 1)}": None}
+        if own[0] in leg.model.names and not cause.wanders:
             pairs = zip(base.get(name, (0.0, 0.0)), own, strict=False)
             value = tuple(b + share * leg.model.values[element] for b, element in pairs)
             error = tuple(share * posterior.error(element + suffix) for element in own)
             values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
     sure = Uncertainty(absent | Uncertainty.of(values, errors)) if values else None
+    causes = {name: values.pop(name) for name in [*values] if name not in known}
     wander = leg.model.disturbance.levels.get("wander", math.nan)
-    return values | {"position_wander": wander, "vehicle_uncertainty": sure}
+    return values | {"causes": causes, "position_wander": wander, "vehicle_uncertainty": sure}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

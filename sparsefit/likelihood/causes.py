@@ -13,6 +13,7 @@ class Cause:
     name: str  # in reports
     elements: tuple[str, ...]  # of the model: estimated, or varying about their values
     words: str = ""  # a template for `Suspect.words`; empty: freed only on request
+    unit: str = ""  # of its size in an estimate
     wanders: bool = False  # whether the elements are random processes, not constants
     answered: bool = False  # whether the answer may contain it without being a misfit
     of_flow: bool = False  # whether it concerns the flow, not the vehicle or an instrument
@@ -20,34 +21,36 @@ class Cause:
 
 WIND, BIAS, GAIN = ("wind_x", "wind_y"), ("position_bias_x", "position_bias_y"), ("gain",)
 BELIEVED = "than it is believed"
+OPPOSITES = {"more": "less", "longer": "shorter", "large": "small", "grow": "decay"}
 FREEDOMS: dict[str, Cause] = {
     "response_time": Cause("response-time", ("response_time",),
-                           f"the response time seems {{size}} s {{longer}} {BELIEVED}"),
+                           f"the response time seems {{size}} s {{longer}} {BELIEVED}", "s"),
     "thrust_scale": Cause("thrust", ("thrust_scale",),
                           f"the thrust seems {{percent}} % {{more}} {BELIEVED}"),
     "thrust_rotation": Cause("thrust-turned", ("thrust_rotation",),
-                             "the thrust seems turned, by {degrees} degrees"),
-    "thrust_acceleration": Cause("thrust", ("thrust_bias_x", "thrust_bias_y")),
-    "wind": Cause("wind", WIND, "there seems to be a wind of ({x}, {y}) m/s, or another thrust"),
+                             "the thrust seems turned, by {degrees} degrees", "rad"),
+    "thrust_acceleration": Cause("thrust", ("thrust_bias_x", "thrust_bias_y"), "", "m/s^2"),
+    "wind": Cause("wind", WIND, "there seems to be a wind of ({x}, {y}) m/s, or another thrust",
+                  "m/s"),
     "wind_growth": Cause("growing-wind", ("wind_growth_x", "wind_growth_y"), "there seems to be a "
-                         "wind that grows by ({x}, {y}) m/s in a second"),
+                         "wind that grows by ({x}, {y}) m/s in a second", "m/s^2"),
     "drag": Cause("drag", ("quadratic_drag",),
-                  f"the drag seems {{more}} quadratic {BELIEVED}, by {{size}} s/m"),
+                  f"the drag seems {{more}} quadratic {BELIEVED}, by {{size}} s/m", "1/m"),
     "mass": Cause("mass", ("mass_rate",),
-                  "the mass seems to change, by {signed} % in a second"),
-    "lag": Cause("lag", ("lag",), "the drag seems to lag behind the wind, by {milli} ms"),
+                  "the mass seems to change, by {signed} % in a second", "1/s"),
+    "lag": Cause("lag", ("lag",), "the drag seems to lag behind the wind, by {milli} ms", "s"),
     "growth": Cause("decay", ("growth",), "the mean velocity seems to {grow}, by {percent} % "
-                    "in a second", of_flow=True),
+                    "in a second", "1/s", of_flow=True),
     "velocity_scale": Cause("velocity-scale", ("velocity_scale",),
                             "the logged velocity seems {percent} % too {large}"),
     "position_scale": Cause("position-scale", ("position_scale",),
                             "the logged position seems {percent} % too {large}"),
     "velocity_bias": Cause("velocity-bias", ("velocity_bias_x", "velocity_bias_y"),
-                           "the logged velocity seems off by ({x}, {y}) m/s"),
+                           "the logged velocity seems off by ({x}, {y}) m/s", "m/s"),
     "latency": Cause("latency", ("latency",),
-                     "the logged {late} seems late, by {milli} ms"),
+                     "the logged {late} seems late, by {milli} ms", "s"),
     "velocity_rotation": Cause("rotation", ("velocity_rotation",), "the frame of the velocity "
-                               "seems turned, by {degrees} degrees"),
+                               "seems turned, by {degrees} degrees", "rad"),
     "turbulence": Cause("turbulence", WIND, wanders=True, answered=True),
     "wander": Cause("position-noise", BIAS, wanders=True, answered=True),
     "swell": Cause("swelling", GAIN, "the mean velocity seems to change in time, by "
@@ -99,18 +102,13 @@ class Suspect:
         """The cause and its size as a sentence."""
         template = next(own.words for own in _CAUSES if own.name == self.cause and own.words)
         x, y = (*self.size, math.nan, math.nan)[:2]
-        more, longer, large, grow, late = (
-            ("more", "longer", "large", "grow", "position")
-            if x > 0
-            else ("less", "shorter", "small", "decay", "velocity")
-        )
         milli = 1e3 * (abs(x) if self.free == "latency" else x)
         numbers = {"x": x, "y": y, "size": abs(x), "percent": 100 * abs(x), "signed": 100 * x}
         numbers |= {"milli": milli, "degrees": math.degrees(x)}
         rounded = {name: two_digits(number) for name, number in numbers.items()}
-        return template.format(
-            **rounded, more=more, longer=longer, large=large, grow=grow, late=late
-        )
+        chosen = {word: word if x > 0 else other for word, other in OPPOSITES.items()}
+        chosen["late"] = "position" if x > 0 else "velocity"
+        return template.format(**rounded, **chosen)
 
 
 def two_digits(number: float) -> str:

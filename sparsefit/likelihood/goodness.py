@@ -38,7 +38,7 @@ class Uncertainty(dict[str, Any]):
             record[name] = errors[name]
             if isinstance(value, tuple):
                 ends = tuple(map(interval, value, errors[name]))
-                record[f"{name.removesuffix('s')}_intervals"] = ends
+                record[f"{name.replace('scales', 'scale')}_intervals"] = ends
             else:
                 record[f"{name}_interval"] = interval(value, errors[name])
         return record

@@ -191,7 +191,7 @@ class Arena:
 
     def _repeat(self, case: Case, turn: int) -> None:
         """One more timed solve, certified where its answer differs from the first."""
-        weights, *seconds = self._solve(case, seed=turn)
+        weights, *seconds = self._solve(case, seed=turn if case.contender.even else 2 * turn)
         first, before = case.weights, case.values["excess"]
         assert first is not None
         case.repeats.note(*seconds, first=False)

@@ -272,7 +272,7 @@ class ContenderKeys:
         "The objective, as tables call it: entries of one label are compared. Without it, the "
         "back-end and its settings.", ""
     )  # fmt: skip
-    solver: tuple[str, ...] = key("Solver, or a list; without it, the exact path.", ("",))
+    solver: tuple[str, ...] = key("Solver, or a list; `exact`, or none, is the exact path.", ("",))
     tolerances: tuple[float, ...] = key("In place of the study's own.", (), INSIDE)
     certified: bool = key(
         "Of an exact path of sparsefit: charge it for the checks of the data and the certificate "

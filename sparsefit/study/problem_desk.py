@@ -3,6 +3,7 @@
 A `SolverDesk` reads each problem from a file. For every solve it makes new arrays: read-only copies
 at other addresses, with the signs of rows and of the target changed, (D Z, s D y) for signs D and
 s. That is the same problem with the solution s W in other bytes, so that a cached answer is wrong.
+Where a penalty takes V and -V for different, s = 1.
 Weights are written into a file that the parent has filled with NaN; those that are missing when the
 clock stops count as unanswered.
 
@@ -55,7 +56,7 @@ class Contender:
     tolerance: NaN where it has none; missing: why it cannot run here, empty where it can; family:
     the name that solvers share which run in one process; certified: whether checks of the data and
     certificates are in its time; limit: of a solve [s]; compiles: whether a first call may take
-    longer; recipe: the solver, None for the back-end's own.
+    longer; recipe: the solver, None for the back-end's own; even: whether -V costs what V does.
     """
 
     objective: str
@@ -69,6 +70,7 @@ class Contender:
     family: str = ""
     compiles: bool = False
     missing: str = ""
+    even: bool = True
 
     def killed(self, targets: int, *, first: bool = False) -> float:
         """The time [s] after which a solve is killed, longer than a command's own limits.

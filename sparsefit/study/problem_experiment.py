@@ -38,6 +38,7 @@ from sparsefit import Estimator, RegressionProblem, backends
 from sparsefit.arrays import BoolArray
 from sparsefit.codec import Place, build, integer, only
 from sparsefit.errors import InputError, MissingExtra, SparsefitError
+from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import REFEREE, Recipe, solver_names
 from sparsefit.study import crossing, data_sets, schema
@@ -327,15 +328,14 @@ def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
     for keys, contender, facts in zip(entries, listed, about, strict=True):
         recipe = contender.recipe
         if "refused" in facts:
-            named = ", ".join(filter(None, recipes))
-            own = f"; [[solvers]] has {named}" if named else ""
-            known = recipe is None or bool(recipe.file) or recipe.name in recipes
-            raise here.error(facts["refused"] + ("" if known else own))
+            named = ", ".join(filter(None, ("exact", *recipes)))
+            known = recipe is None or bool(recipe.file) or recipe.name in ("exact", *recipes)
+            raise here.error(facts["refused"] + f"; beside there are {named}" * (not known))
         if keys.certified and not facts["exact"]:
             why = "is for an exact path of sparsefit: no other certifies its answers"
             raise here.at("certified").error(why)
         recipe, solver = (None, facts["solver"]) if facts["solver"] else (recipe, contender.solver)
-        changes = {key: facts[key] for key in ("family", "missing", "compiles")}
+        changes = {key: facts[key] for key in ("even", "family", "missing", "compiles")}
         changes["recipe"] = recipe
         contender = replace(contender, solver=solver + ", certified" * keys.certified, **changes)
         if any(other.names == contender.names for other in contenders):
@@ -397,26 +397,26 @@ def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
     """Of each contender: its solver, family, whether it stops at a tolerance and `compiles`.
 
     solver: the name of the back-end's own, empty where the recipe's counts; exact: whether that is
-    an exact path of sparsefit; missing: why it cannot run here. Of one that is none, the reason why
-    it is `refused`.
+    an exact path of sparsefit; even: whether the penalty of -V is that of V; missing: why it cannot
+    run here. Of one that is none, the reason why it is `refused`.
     """
     problem, content = small_problem(), []
     for contender in listed:
         name, recipe = contender.backend, contender.recipe
-        about: dict[str, Any] = dict.fromkeys(("exact", "stops"), False)
-        about |= {
-            "solver": "",
-            "family": OURS,
-            "missing": "",
-            "compiles": not _foreign(name, recipe),
-        }
+        about: dict[str, Any] = {"family": OURS, "solver": "", "missing": "", "even": True}
+        about |= {"exact": False, "stops": False, "compiles": not _foreign(name, recipe)}
         content.append(about)
         try:
             backend = contender.settled
             exact = type(backend).solver if isinstance(backend, PenalisedPath) else ""
             if exact and backend.alpha_fraction == "auto":
                 raise InputError('alpha_fraction = "auto" is many fits: give a number')
-            if exact and (recipe is None or recipe.name == exact):
+            if isinstance(backend, PenalisedBackend):
+                value = backend.penalty(problem).value
+                units = np.eye(problem.columns)[..., None]
+                values = np.multiply.outer(np.geomspace(1e-6, 1e6, 300), units)
+                about["even"] = np.array_equal(value(values), value(-values))
+            if exact and (recipe is None or recipe.name in (exact, "exact")):
                 about |= {"solver": exact, "exact": True, "compiles": True}
             elif recipe is None:
                 about |= {"solver": name, "family": OURS if name in backends.BACKENDS else name}

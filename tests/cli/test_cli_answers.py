@@ -48,11 +48,11 @@ def test_no_vehicle_is_needed_where_it_is_unknown(capsys):
     out = printed(capsys, "bare.csv", *GRID, "--unknown", "response_time", "thrust_acceleration")
     lines = columns(out)
     assert lines["vehicle"] == ["unknown"]
-    value, unit, sign, spread = lines["response time  tau"][:4]
+    value, unit, sign, spread = lines["response time"][:4]
     assert (round(float(value), 6), unit, sign) == (0.5, "s", "±")
     assert 0 < float(spread) < 1e-4
-    assert lines["thrust         a"][2:4] == ["m/s^2", "±"]
-    thrust = [float(word.strip("(),")) for word in lines["thrust         a"] if word[0] == "("]
+    assert lines["thrust acceleration"][2:4] == ["m/s^2", "±"]
+    thrust = [float(word.strip("(),")) for word in lines["thrust acceleration"] if word[0] == "("]
     assert thrust[0] == pytest.approx(5.0, abs=1e-4)
     assert "wind" not in lines
 
@@ -73,10 +73,10 @@ def test_json_has_what_was_estimated_and_null_for_the_rest(capsys):
 
 def test_noise_is_told_with_the_response_time(capsys):
     lines = columns(printed(capsys, "noisy.csv", *GRID, "--unknown", "response_time", "wind"))
-    _, unit, sign, spread, _, _, low, _, high = lines["response time  tau"]
+    _, unit, sign, spread, _, _, low, _, high = lines["response time"]
     assert (unit, sign) == ("s", "±")
     assert lines["vehicle"] == ["thrust", "(5,", "3)", "m/s^2"]
-    assert "thrust         a" not in lines
+    assert "thrust acceleration" not in lines
     assert float(high.rstrip(")")) - float(low) == pytest.approx(3.92 * float(spread), abs=2e-4)
     assert lines["wind"][2:4] == ["m/s", "±"]
     assert [float(word.strip("(),")) < 0.5 for word in lines["wind"][4:]] == [True, True]

@@ -288,6 +288,7 @@ def test_a_lag_is_as_sure_as_its_first_order():
     ((flight, truth),) = draw(world, 2, 61001, first=1)
     estimate = sf.Estimator(free="auto").estimate(flight)
     assert estimate.freed == ("lag",)
+    assert estimate.causes["lag"] == pytest.approx(0.033, rel=0.1)
     low, high = estimate.uncertainty.mean_velocity_interval
     assert low < truth.mean_velocity < high
     assert high - low < 0.05 * truth.mean_velocity

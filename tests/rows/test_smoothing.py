@@ -267,15 +267,6 @@ def test_no_window_crosses_a_gap():
     assert len(Derivative("forward")(flight).time) == len(rows) - 2
 
 
-def test_windows_that_cross_a_gap_by_hand():
-    time = np.array([0.0, 1.0, 2.0, 9.0, 10.0, 11.0, 12.0])
-    pieces = LogPieces(time, np.zeros((7, 4)), np.array([0, 0, 0, 1, 1, 1, 1]))
-    np.testing.assert_array_equal(pieces.windows(3), [0, 3, 4])
-    assert not len(pieces.windows(8))
-    assert pieces.slices == [slice(0, 3), slice(3, 7)]
-    assert (pieces.step, pieces.even) == (1.0, True)
-
-
 def test_pieces_too_short_for_a_filter_give_no_rows():
     samples = AUTO(part(flown(FLOW), np.r_[0:300, 340:341, 400:420, 480:801]))
     assert samples.repairs == Repairs(gaps=3, longest_gap=pytest.approx(0.61))

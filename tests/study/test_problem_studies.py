@@ -77,6 +77,13 @@ def test_deeds_of_solvers_are_their_own_cases(tmp_path):
     assert "its first call took longer than 3 s" in first.loc["hangs", "reason"]
 
 
+def test_a_penalty_that_is_not_even_keeps_its_sign_in_repeats(tmp_path):
+    lasso = '[[backends]]\nname = "lasso"\npositive = true\nsolver = "exact"\n'
+    study = load(tmp_path, PROBLEMS + CORRELATED + lasso)
+    study.run()
+    assert study.cases["status"].tolist() == ["ok"], study.cases["reason"].tolist()
+
+
 @pytest.fixture(scope="module")
 def own(tmp_path_factory):
     """Two settings of one's own solver beside ours, on three problems."""
