@@ -53,20 +53,17 @@ WORK = {"fly": "simulating the flight", "prepare": "building the library", "case
 class FlightExperiment(Plan):
     """Flights x (conditions x readings x back-ends x settings).
 
-    given: the keys of the sections flights, derivative, library and readout that the file sets,
-    dotted; sweep: levels by dotted key; points: the cells that are made of every flight;
-    validate_count: flights of the split `validate`, None without [split]; titled: titles by
-    candidate, of the study that the cells are a part of, if any; on_board: whether every estimator
-    is flown sample by sample, as it would be exported.
+    protocols, sweep: what each named alternative overrides, and levels, by dotted key; points: the
+    cells that are made of every flight; titled: titles by candidate, of the study that the cells
+    are a part of, if any; on_board: whether every estimator is flown sample by sample, as it would
+    be exported.
     """
 
     definition: FlightFile
     count: int
-    given: Mapping[str, object]
     protocols: Protocols
     sweep: Mapping[str, tuple[object, ...]]
     points: tuple[Cell, ...]
-    validate_count: int | None = None
     titled: dict[str, str] = field(default_factory=dict)
     on_board: bool = False
     kind = "flights"
@@ -97,11 +94,8 @@ class FlightExperiment(Plan):
         if (split := file.split) is not None and split.validate + split.evaluate != count:
             words = f"counts sum to {split.validate + split.evaluate}, not to the {count}"
             raise place.within("split").error(f"{words} of flights.count")
-        given = {f"{name}.{key}": value for name, own in sections.items()
-                 for key, value in own.items()}  # fmt: skip
         points = tuple(cross(sections, protocols, sweep, fitted, place, parts))
-        validate = None if split is None else split.validate
-        return cls(file, place.file, count, given, protocols, sweep, points, validate)
+        return cls(file, place.file, count, protocols, sweep, points)
 
     def split(self, flight: int) -> str:
         """`validate`, `evaluate` or, without [split], `all`.
@@ -109,9 +103,9 @@ class FlightExperiment(Plan):
         The two are interleaved: with a quantity that is equally spaced over the flights, both
         halves cover its range.
         """
-        if self.validate_count is None:
+        if (split := self.definition.split) is None:
             return "all"
-        before, after = (n * self.validate_count // self.count for n in (flight, flight + 1))
+        before, after = (n * split.validate // self.count for n in (flight, flight + 1))
         return "validate" if after > before else "evaluate"
 
     @cached_property
@@ -166,10 +160,9 @@ class FlightExperiment(Plan):
 
     def _levels(self, key: str) -> list[Any]:
         """The level of a factor in every cell: numbers where all are, else text."""
-        given, protocols = self.given.get(key), self.protocols
-        levels = [
-            cell.levels.get(key, protocols[cell.protocol].get(key, given)) for cell in self.points
-        ]
+        section, _, name = key.partition(".")
+        given, protocols = getattr(self.definition, section).get(name), self.protocols
+        levels = [c.levels.get(key, protocols[c.protocol].get(key, given)) for c in self.points]
         if all(map(is_real, levels)):
             return [float(level) for level in levels if is_real(level)]
         texts = (level if isinstance(level, str) else canonical_json(level) for level in levels)

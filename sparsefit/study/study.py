@@ -298,22 +298,21 @@ class Study:
         Its results are in the subfolder ``on-board``.
         """
         able = [name for name, title in self._titles.items() if title not in self.refusals]
-        return self._part(able, self.flights, "on-board", on_board=True)
+        return self._part(able, replace(self.flights, on_board=True), "on-board")
 
     def variant(self, candidates: Sequence[str], count: int) -> Study:
         """The study of these candidates on flights of a new seed, in the subfolder ``fresh``."""
         seed = int(sha256(f"fresh {self.seed}".encode()).hexdigest()[:8], 16)
-        new = replace(self.flights, definition=replace(self.flights.definition, seed=seed))
-        return self._part(candidates, new, "fresh", count=count, validate_count=None)
+        file = replace(self.flights.definition, seed=seed, split=None)
+        new = replace(self.flights, definition=file, count=count)
+        return self._part(candidates, new, "fresh")
 
-    def _part(
-        self, candidates: Sequence[str], plan: FlightExperiment, name: str, **changes: Any
-    ) -> Study:
-        """A study of these candidates of a plan in a subfolder; changes: of the plan."""
+    def _part(self, candidates: Sequence[str], plan: FlightExperiment, name: str) -> Study:
+        """A study of these candidates of a plan, in a subfolder."""
         chosen = sorted(cell for item in candidates for cell in self.cells_of(item))
         points = tuple(plan.points[cell] for cell in chosen)
         file = replace(plan.definition, name=name, outputs=Outputs())
-        part = replace(plan, definition=file, points=points, titled=self._titles, **changes)
+        part = replace(plan, definition=file, points=points, titled=self._titles)
         return Study(part, self.folder / name)
 
     @property
