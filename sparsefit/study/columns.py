@@ -91,28 +91,6 @@ def body_of(values: Mapping[str, Value | None]) -> str:
     return _JSON.encode(content)
 
 
-def outcome_of(
-    kinds: Mapping[str, Kind], unit: int, cell: int, status: Any, reason: Any, values: Any
-) -> Outcome:
-    """The outcome in an answer of a worker, checked against the kinds of the columns.
-
-    Raises:
-        ValueError, TypeError, LookupError: for an unknown status or column, or a wrong value.
-    """
-    if status not in STATUSES or not isinstance(reason, str) or not isinstance(values, dict):
-        raise ValueError(f"a status that there is not: {status!r}"[:80])
-    reason.encode()
-    for name, value in values.items():
-        kind = type(value)
-        if kind not in kinds[name].types:
-            raise ValueError(f"{name} is no {kinds[name].arrow}")
-        if kind is str:
-            value.encode()
-        elif kind is int and not -(2**63) <= value < 2**63:
-            raise ValueError(f"{name} is too large")
-    return Outcome(unit, cell, status, reason, values)
-
-
 def _columns(*rows: tuple[Kind, str] | tuple[Kind, str, str]) -> tuple[Column, ...]:
     """Columns of rows (kind, names, path); `*` stands for each of the three parameters."""
     return tuple(

@@ -22,7 +22,7 @@ from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.codec import Place, integer
 from sparsefit.errors import InputError, is_real
-from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, Outcome, kinds_of, outcome_of
+from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, STATUSES, Outcome, kinds_of
 from sparsefit.study.crossing import (
     ALPHA,
     MOST_CASES,
@@ -275,24 +275,33 @@ class FlightExperiment(Plan):
         return list(groups.values())
 
     def _outcomes(self, unit: int, cells: list[int], answer: Answer) -> list[Outcome]:
-        """The outcomes in an answer, checked against the plan.
+        """The outcomes in an answer, checked against the plan and the kinds of the columns.
 
         Raises:
             NoAnswerError: they are not valid outcomes of these cells.
         """
         outcomes, kinds = [], kinds_of(self.stored)
         try:
-            for cell, (own, *content) in zip(cells, answer.content["rows"], strict=True):
-                outcome = outcome_of(kinds, unit, own, *content)
-                estimate = [outcome.values.get(f"est_{name}", math.nan) for name in PARAMETERS]
+            for cell, row in zip(cells, answer.content["rows"], strict=True):
+                own, status, reason, values = row
                 if own != cell:
                     raise ValueError("not the cases that were asked for")
-                if outcome.status == "ok" and not np.isfinite(np.array(estimate, float)).all():
+                if status not in STATUSES:
+                    raise ValueError(f"a status that there is not: {status!r}"[:80])
+                for name, value in values.items():
+                    if type(value) not in kinds[name].types:
+                        raise ValueError(f"{name} is no {kinds[name].arrow}")
+                    if type(value) is int and not -(2**63) <= value < 2**63:
+                        raise ValueError(f"{name} is too large")
+                for text in (reason, *(value for value in values.values() if type(value) is str)):
+                    text.encode()
+                estimate = [values.get(f"est_{name}", math.nan) for name in PARAMETERS]
+                if status == "ok" and not np.isfinite(np.array(estimate, float)).all():
                     raise ValueError("ok without an estimate")
-                outcomes.append(outcome)
-        except (ValueError, TypeError, LookupError, RecursionError) as error:
-            reason = f"the worker process returned no valid outcome: {error}"
-            raise NoAnswerError("crashed", reason[:200], WORK["cases"]) from None
+                outcomes.append(Outcome(unit, cell, status, reason, values))
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+            words = f"the worker process returned no valid outcome: {error}"
+            raise NoAnswerError("crashed", words[:200], WORK["cases"]) from None
         return outcomes
 
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from sparsefit.codec import finite_or_none
+
 if TYPE_CHECKING:
     import pandas as pd
 
@@ -182,10 +184,7 @@ class Table:
 
     def record(self) -> dict[str, object]:
         """Return title, columns, rows and notes for JSON."""
-        rows = [
-            [None if isinstance(cell, float) and not math.isfinite(cell) else cell for cell in row]
-            for row in self.rows
-        ]
+        rows = finite_or_none(list(self.rows))
         return {"title": self.title, "columns": self.heads, "rows": rows, "notes": list(self.notes)}
 
     def to_csv(self) -> str:
