@@ -22,12 +22,13 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from threading import Event, Lock, Thread
+from threading import Event, Lock
 from typing import Any, NamedTuple, TypeAlias
 
 from sparsefit.errors import InputError, described, is_integer, optional, told_with
@@ -174,15 +175,14 @@ def run(
 # each need a task of their own (36480 libraries instead of 2280 in one shipped study), and its busy
 # workers outlive a parent that is killed.
 def outcomes(
-    plan: Plan,
-    batches: Iterator[Batch],
-    processes: int,
+    plan: Plan, batches: Iterator[Batch], processes: int
 ) -> Generator[list[Outcome], None, None]:
     """The outcome of every cell of every batch as it ends; workers end with the generator.
 
     Those that arrive together are a list; an empty one follows each `TICK` without any.
     """
-    arriving, stop, lock = SimpleQueue[list[Outcome] | BaseException | None](), Event(), Lock()
+    arriving, stop, lock = SimpleQueue[list[Outcome] | Future[None]](), Event(), Lock()
+    memory = memory_limit(plan.definition.run.max_memory, processes)
 
     def taken() -> Iterator[Batch]:
         while True:
@@ -192,41 +192,27 @@ def outcomes(
                 return
             yield batch
 
-    memory = memory_limit(plan.definition.run.max_memory, processes)
-
     def work() -> None:
-        try:
-            with (
-                scratch() as home,
-                closing(Crew(plan.desk, home, memory, stop)) as crew,
-            ):
-                for together in plan.run(taken(), crew):
-                    arriving.put(together)
-            arriving.put(None)
-        except BaseException as error:
-            arriving.put(error)
+        with scratch() as home, closing(Crew(plan.desk, home, memory, stop)) as crew:
+            for together in plan.run(taken(), crew):
+                arriving.put(together)
 
-    slots = [Thread(target=work) for _ in range(processes)]
-    try:
-        for slot in slots:
-            slot.start()
-        ended = 0
-        while ended < processes:
-            try:
-                event = arriving.get(timeout=TICK)
-            except Empty:
-                event = []
-            if event is None:
-                ended += 1
-            elif isinstance(event, BaseException):
-                raise event
-            else:
-                yield event
-    finally:
-        stop.set()
-        for slot in slots:
-            if slot.ident is not None:  # started
-                slot.join()
+    ended = 0
+    with ThreadPoolExecutor(processes) as slots:
+        try:
+            for _ in range(processes):
+                slots.submit(work).add_done_callback(arriving.put)
+            while ended < processes:
+                event: list[Outcome] | Future[None] = []
+                with suppress(Empty):
+                    event = arriving.get(timeout=TICK)
+                if isinstance(event, Future):
+                    event.result()  # raises what has ended the slot
+                    ended += 1
+                else:
+                    yield event
+        finally:
+            stop.set()
 
 
 @contextmanager
