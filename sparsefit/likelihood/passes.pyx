@@ -35,6 +35,36 @@ cdef inline void add(Py_ssize_t n, double a, const double* x, double* y) noexcep
         y[i] += a * x[i]
 
 
+cdef void spread_out(
+    Py_ssize_t width, Py_ssize_t n, const double* a, const double* x, double* y
+) noexcept nogil:
+    """Y (n, width) += a x, of n numbers a and a row x; n is 4 or more."""
+    cdef double first = a[0], second = a[1], third = a[2], fourth = a[3]
+    cdef Py_ssize_t i
+    for i in range(width):
+        y[i] += first * x[i]
+        y[i + width] += second * x[i]
+        y[i + 2 * width] += third * x[i]
+        y[i + 3 * width] += fourth * x[i]
+    for i in range(4, n):
+        add(width, a[i], x, y + i * width)
+
+
+cdef void gather(
+    Py_ssize_t width, Py_ssize_t n, const double* a, const double* x, double* y
+) noexcept nogil:
+    """y += a X, of n numbers a and a matrix X (n, width); n is 4 or more."""
+    cdef double first = a[0], second = a[1], third = a[2], fourth = a[3]
+    cdef Py_ssize_t i
+    for i in range(width):
+        y[i] += (
+            first * x[i] + second * x[i + width] + third * x[i + 2 * width]
+            + fourth * x[i + 3 * width]
+        )
+    for i in range(4, n):
+        add(width, a[i], x + i * width, y)
+
+
 cdef inline double dot(Py_ssize_t n, const double* x, const double* y) noexcept nogil:
     """x'y."""
     cdef Py_ssize_t i
@@ -82,15 +112,15 @@ cdef void acceleration(
     cdef double speed = sqrt(rx * rx + ry * ry + 1e-300)
     c, s = (cos(element[2]), sin(element[2])) if element[2] != 0.0 else (1.0, 0.0)
     cdef double hx = c * tx - s * ty, hy = s * tx + c * ty
-    cdef double mass = 1.0 + element[10] * age
-    cdef double weight = 1.0 / (mass * (1.0 - lag / tau))
-    cdef double stretch = 1.0 + square * speed, factor = weight / tau
+    cdef double pace = 1.0 / tau, ahead = 1.0 / (tau - lag), light = 1.0 / (1.0 + element[10] * age)
+    cdef double weight = light * tau * ahead, factor = light * ahead
+    cdef double stretch = 1.0 + square * speed, bend = factor * square / speed
     cdef double fx = factor * stretch * rx, fy = factor * stretch * ry
     cdef double ax = fx + weight * (scale * hx + element[3])
     cdef double ay = fy + weight * (scale * hy + element[4])
-    cdef double axx = factor * (stretch + square / speed * rx * rx)
-    cdef double axy = factor * square / speed * rx * ry
-    cdef double ayy = factor * (stretch + square / speed * ry * ry)
+    cdef double axx = factor * stretch + bend * rx * rx
+    cdef double axy = bend * rx * ry
+    cdef double ayy = factor * stretch + bend * ry * ry
     force.value[0], force.value[1] = ax, ay
     force.by_state[0][0], force.by_state[0][1] = axx * xx + axy * yx, axx * xy - axy * xx
     force.by_state[1][0], force.by_state[1][1] = axy * xx + ayy * yx, axy * xy - ayy * xx
@@ -104,14 +134,14 @@ cdef void acceleration(
     air[1][11] = -(yx * state[2] - xx * state[3]) - vt
     air[0][12], air[1][12] = u / swell, v / swell
     air[0][13], air[1][13] = u * time / shape, v * time / shape
-    own[0][0] = -fx / tau - lag / (tau * (tau - lag)) * ax
-    own[1][0] = -fy / tau - lag / (tau * (tau - lag)) * ay
+    own[0][0] = -pace * (fx + lag * ahead * ax)
+    own[1][0] = -pace * (fy + lag * ahead * ay)
     own[0][1], own[1][1] = weight * hx, weight * hy
     own[0][2], own[1][2] = -weight * scale * hy, weight * scale * hx
     own[0][3] = own[1][4] = weight
     own[0][5], own[1][5] = factor * speed * rx, factor * speed * ry
-    own[0][10], own[1][10] = -ax * age / mass, -ay * age / mass
-    own[0][11], own[1][11] = ax / (tau - lag), ay / (tau - lag)
+    own[0][10], own[1][10] = -ax * age * light, -ay * age * light
+    own[0][11], own[1][11] = ax * ahead, ay * ahead
     for i in range(count):
         k = ids[i]
         px, py = (own[0][k], own[1][k]) if k < OWN else (0.0, 0.0)
@@ -135,10 +165,9 @@ cdef void transition(
     cdef double state[4]
     cdef double speed[4]
     cdef double tangent[4][STATES + COLUMNS]
-    cdef double moved[4][STATES + COLUMNS]
     cdef double total[4][STATES + COLUMNS]
     cdef double whole[4]
-    cdef double share, weight, reach
+    cdef double share, weight, reach, x, y, u, v, ux, uy, uu, uv, vx, vy, vu, vv
     cdef Py_ssize_t k, i, stage, width = 4 + w + p
     memset(speed, 0, sizeof(speed))
     memset(whole, 0, sizeof(whole))
@@ -151,9 +180,6 @@ cdef void transition(
         reach = share * step
         for k in range(4):
             state[k] = track[k] + reach * speed[k]
-            for i in range(width):
-                moved[k][i] = reach * tangent[k][i]
-            moved[k][k] += 1.0
         for i in range(w):
             full[ids[i]] = elements[ids[i]]
         for i in range(w):
@@ -169,12 +195,19 @@ cdef void transition(
             force.by_element[1][i] *= result.fading[i]
         speed[0], speed[1] = state[2], state[3]
         speed[2], speed[3] = force.value[0], force.value[1]
-        for k in range(2):
-            memcpy(tangent[k], moved[2 + k], width * sizeof(double))
-            memset(tangent[2 + k], 0, 4 * sizeof(double))
-            memcpy(tangent[2 + k] + 4, force.by_element[k], (w + p) * sizeof(double))
-            for i in range(4):
-                add(width, force.by_state[k][i], moved[i], tangent[2 + k])
+        ux, uy = reach * force.by_state[0][0], reach * force.by_state[0][1]
+        uu, uv = reach * force.by_state[0][2], reach * force.by_state[0][3]
+        vx, vy = reach * force.by_state[1][0], reach * force.by_state[1][1]
+        vu, vv = reach * force.by_state[1][2], reach * force.by_state[1][3]
+        for i in range(width):  # what the state does to the rates, all columns at once
+            x, y, u, v = tangent[0][i], tangent[1][i], tangent[2][i], tangent[3][i]
+            tangent[0][i], tangent[1][i] = reach * u, reach * v
+            tangent[2][i] = ux * x + uy * y + uu * u + uv * v
+            tangent[3][i] = vx * x + vy * y + vu * u + vv * v
+        for k in range(2):  # and what a unit of the state and of the elements does
+            tangent[k][2 + k] += 1.0
+            add(4, 1.0, force.by_state[k], tangent[2 + k])
+            add(w + p, 1.0, force.by_element[k], tangent[2 + k] + 4)
         for k in range(4):
             whole[k] += weight * speed[k]
             add(width, weight, tangent[k], total[k])
@@ -253,6 +286,7 @@ def forward(
     cdef ByOwn by_element[4]
     cdef double by_state[4][STATES]
     cdef double response[STATES + COLUMNS]  # H P, -e and G
+    cdef double gain[STATES]
     cdef double reading[4]
     cdef double total = 0.0, size, inverse, dt, excess
     cdef double* saved = NULL
@@ -291,7 +325,8 @@ def forward(
             total += log(2.0 * M_PI * size)
             inverse = 1.0 / size
             for k in range(n):
-                add(width, -response[k] * inverse, response, &rows[k, 0])
+                gain[k] = -response[k] * inverse
+            spread_out(width, n, gain, response, &rows[0, 0])
             for k in range(width - n):  # the lower triangle
                 add(k + 1, response[n + k] * inverse, response + n, &sums[k, 0])
             if stored is not None:
@@ -309,16 +344,16 @@ def forward(
             for j in range(levels):
                 rows[k, c + j] += 0.5 * dt * pace[i, k] * kicks[j, k] * adjoint[i, n + k]
             rows[k, k] += 0.5 * dt * pace[i, k] * kick[k]
-        for k in range(n):  # F times P, delta and V
-            memset(&fresh[k, 0], 0, width * sizeof(double))
-            fresh[k, n] = step.following[k] - track[i + 1, k]
-            if k >= 4:
-                add(width, step.fading[k - 4], &rows[k, 0], &fresh[k, 0])
-                continue
-            for j in range(links):
+        memset(&fresh[0, 0], 0, n * width * sizeof(double))
+        for j in range(links):
+            for k in range(4):
                 fresh[k, target[j]] += slope[j] * step.slope[k][4 + source[j]]
-            for j in range(n):
-                add(width, step.slope[k][j], &rows[j, 0], &fresh[k, 0])
+        for k in range(n):  # F times P, delta and V
+            fresh[k, n] = step.following[k] - track[i + 1, k]
+            if k < 4:
+                gather(width, n, step.slope[k], &rows[0, 0], &fresh[k, 0])
+            else:
+                add(width, step.fading[k - 4], &rows[k, 0], &fresh[k, 0])
         for k in range(n):  # and P times F'
             for j in range(k + 1):
                 rows[k, j] = dot(n, &fresh[k, 0], step.slope[j]) if j < 4 else (
