@@ -223,7 +223,8 @@ def measure_flow(
                 there = fitted(logs, with_process(there.models, process_of(name, there)), there)
         if there is None:
             continue
-        if proposal.shape == "scales":  # its waves are free if BIC says so
+        followed = not prepared.too_fast(there.model.pattern.length_scale)
+        if proposal.shape == "scales" and followed:  # its waves are free if BIC says so
             free_waves = there.model.pattern.reshaped("several", pattern.drifting)
             loose = fitted(logs, [replace(own, pattern=free_waves) for own in there.models], there)
             there = loose if loose is not None and loose.bic < there.bic else there
@@ -267,7 +268,10 @@ def measure_flow(
         for _, white, rival in others:
             pairs = zip(white.models, base.models, strict=True)
             gusty = [own.with_processes(gusts.disturbance.processes) for own, gusts in pairs]
-            again = fitted(logs, gusty, white)
+            least = -math.inf
+            if not _loose(base):  # else others come first
+                least = white.log_likelihood + 0.5 * (white.bic - base.bic - CLOSE)
+            again = fitted(logs, gusty, white, least=least)
             if again is not None and alike(again, rival, near):
                 beside.append((_loose(again), again, rival))
         best = min(beside, key=lambda each: (each[0], each[1].bic))

@@ -51,8 +51,9 @@ SCANNED = (0.03, 0.1, 0.3, 1.0)  # shares of a level at which a process is first
 ABSENT = 1e-6  # the share of a flight, of several, without the process
 
 
-Refit = Callable[[Sequence[Model], Posterior], Posterior | None]
-"""The posterior of models near another one; None if it is unusable or of another flow."""
+Refit = Callable[[Sequence[Model], Posterior, float], Posterior | None]
+"""The posterior of models near another one; None if it is unusable, of another flow, or does not
+come to a log-likelihood."""
 
 
 @dataclass(frozen=True)
@@ -117,23 +118,41 @@ def diagnose(
     suspects, closed, wandering = list[Suspect](), set(freed), 0.0
     start, tests, gains = None, 1, dict[tuple[str, int], Gain]()
     rivals: list[tuple[Posterior, Posterior, bool]] = []
+    fits: list[tuple[Trial, Posterior]] = []
 
-    def refit(models: Sequence[Model], near: Posterior, passes: int = PASSES) -> Posterior | None:
-        there = fitted(logs, models, near, passes)
+    def refit(
+        models: Sequence[Model], near: Posterior, least: float = -math.inf, passes: int = PASSES
+    ) -> Posterior | None:
+        there = fitted(logs, models, near, passes, least)
         return there if there is not None and usable(there) and inside(there) else None
 
-    def attempts(trials: Iterable[Trial]) -> list[tuple[Trial, Posterior]]:
-        """The usable and plausible trials, with their posteriors."""
-        pairs = [(trial, refit(trial.models, posterior)) for trial in trials]
-        return [(trial, own) for trial, own in pairs if own is not None and plausible(own, first)]
+    def attempt(trials: Iterable[Trial]) -> None:
+        """Fit trials, but those that come nowhere near the best; keep the plausible ones."""
+        for trial in trials:
+            least, leaders = -math.inf, list(filter(eligible, fits))
+            if leaders:
+                leader = max(leaders, key=merit)
+                rivalry = max(leader[1].evidence, CHANCE) if leader[0].suspicious else 0.0
+                least = merit(leader) + 2.0 * trial.freedom - rivalry
+            there = refit(trial.models, posterior, least)
+            if there is not None and plausible(there, first):
+                fits.append((trial, there))
 
     def merit(attempt: tuple[Trial, Posterior]) -> float:
         return attempt[1].log_likelihood - 2.0 * attempt[0].freedom
 
+    def eligible(attempt: tuple[Trial, Posterior]) -> bool:
+        """Whether a cause explains enough beside the processes that are believed."""
+        enough = 2.0 * posterior.log_likelihood + CALMER * wandering
+        trial, own = attempt
+        calmer = own.converged and 2.0 * own.log_likelihood > enough
+        return calmer or not (trial.suspicious and wandering)
+
     for _ in range(0 if posterior.exact else ROUNDS):
         start = posterior
         gains = gains_of(start, groups_of(start.model, closed))
-        tests, fits = len(gains), list[tuple[Trial, Posterior]]()
+        tests = len(gains)
+        fits.clear()
         likely = [
             (name, flight, gain)
             for (name, flight), gain in sorted(gains.items(), key=lambda item: -item[1].gain)
@@ -145,25 +164,19 @@ def diagnose(
                 continue
             first_gain, models = scanned(start, process_of(name, start))
             if first_gain > needed:
-                fits += attempts([Trial(models, 1 + len(models), cause, name)])
+                attempt([Trial(models, 1 + len(models), cause, name)])
                 most = max(map(merit, fits), default=-math.inf)
                 needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
         if likely and _releveled(start, likely[0][2].gain) > needed:
             least = max(needed, CALMER * wandering)
-            fits += attempts([
+            attempt([
                 _freed(start.models, FREEDOMS[name], name, flight, gain)
                 for name, flight, gain in likely
                 if name in FREEDOMS and _releveled(start, gain.gain) > least
             ][:FITTED])  # fmt: skip
             for name in dict.fromkeys(name for name, _, _ in likely if name in SHAPES):
-                fits += attempts(freer(start.models, name, answers=shapes))
-        enough = 2.0 * start.log_likelihood + CALMER * wandering
-        candidates = [
-            (trial, own) for trial, own in fits
-            if not (trial.suspicious and wandering)
-            or (own.converged and 2.0 * own.log_likelihood > enough)
-        ]  # fmt: skip
-        if not candidates:
+                attempt(freer(start.models, name, answers=shapes))
+        if not (candidates := list(filter(eligible, fits))):
             break
         best, there = max(candidates, key=merit)
         gain_of_it = 2.0 * (there.log_likelihood - start.log_likelihood)
@@ -187,7 +200,7 @@ def diagnose(
     answers = [posterior, believed] if suspects else [posterior]
     for place, own in enumerate(answers):  # intervals are those at the maximum
         if not own.converged and usable(own):
-            answers[place] = refit(own.models, own, LAST) or own
+            answers[place] = refit(own.models, own, passes=LAST) or own
     posterior, believed = answers[0], answers[-1]
     growth = posterior.value("growth"), posterior.error("growth")
     if "growth" not in posterior.names:
@@ -290,7 +303,8 @@ def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
         if len(pattern.waves) == 2 and len(simple.values) < len(pattern.values):
             models = [replace(model, pattern=simple) for model in posterior.models]
             near = _reached(posterior, models) > posterior.log_likelihood - LOST
-            there = refit(models, posterior) if near else None
+            least = posterior.log_likelihood - LOST  # of likelihood: more than BIC gains
+            there = refit(models, posterior, least) if near else None
             if there is not None and there.bic < posterior.bic:
                 return there
     return posterior
@@ -333,8 +347,9 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
 
     factor = max((TUNED, 1.0 / TUNED), key=lambda own: _reached(posterior, at(own)))
     for _ in range(3):
-        there = refit(at(factor), posterior)
-        if there is None or there.log_likelihood < posterior.log_likelihood + 0.5:
+        least = posterior.log_likelihood + 0.5
+        there = refit(at(factor), posterior, least)
+        if there is None or there.log_likelihood < least:
             break
         posterior = there
     return posterior
@@ -345,12 +360,13 @@ def fitted(
     models: Iterable[Model],
     start: Posterior | None = None,
     passes: int = PASSES,
+    least: float = -math.inf,
 ) -> Posterior | None:
     """The posterior of models of logs, all their levels estimated.
 
     start: a nearby optimum whose tracks and levels are the start. Without one, or with a process
     that it has not, the levels of the sensors start from the logs' own noise: white process noise
-    in place of a coloured one takes their share too. passes: over all rows at most.
+    in place of a coloured one takes their share too. passes, least: as in `measure`.
     """
     starts = list(models)
     processes = 0 if start is None else len(start.model.disturbance.processes)
@@ -360,7 +376,7 @@ def fitted(
             levels[LEVELS[0]] = BESIDE * model.disturbance.acceleration
             starts[number] = replace(model, disturbance=model.disturbance.at(levels))
     try:
-        return measure(logs, starts, start, passes)
+        return measure(logs, starts, start, passes, least)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
         return None
 

@@ -248,6 +248,7 @@ def measure(
     model: Model | Sequence[Model],
     start: Posterior | None = None,
     passes: int = PASSES,
+    least: float = -math.inf,
 ) -> Posterior:
     """Find the maximum of the likelihood of logs that share the free parameters, and its levels.
 
@@ -258,6 +259,8 @@ def measure(
         start: an earlier posterior of the same logs, with fewer parameters or processes perhaps:
             its trajectories are where the search starts, and the noise is not annealed.
         passes: over all rows at most.
+        least: the log-likelihood without which the posterior is of no use: a search that falls
+            behind is given up.
 
     Raises:
         InputError: if the log has gaps too long.
@@ -295,7 +298,7 @@ def measure(
                 Leg.of(*pair, 1, (leg.nodes.time, leg.track))
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
-        legs, step, reason = climbed(legs, floors, hold, passes)
+        legs, step, reason = climbed(legs, floors, hold, passes, least)
     value = step.reached - step.gain * bool(reason)  # a step that was not taken gains nothing
     value = value if math.isfinite(value) else -math.inf
     seen = max((float(known[0, 0]) for known in step.levels if known.size), default=0.0)

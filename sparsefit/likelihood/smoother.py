@@ -129,7 +129,11 @@ class Step:
 
 
 def climbed(
-    legs: tuple[Leg, ...], floors: Sequence[Array], hold: int, most: int = PASSES
+    legs: tuple[Leg, ...],
+    floors: Sequence[Array],
+    hold: int,
+    most: int = PASSES,
+    least: float = -math.inf,
 ) -> tuple[tuple[Leg, ...], Step, str]:
     """Iterate passes until the likelihood has converged.
 
@@ -138,6 +142,8 @@ def climbed(
         floors: per log, standard deviations (l,) that no level goes below.
         hold: the passes before the levels of the instruments move.
         most: passes.
+        least: the log-likelihood asked: a search is given up that does not come there in the
+            passes left, at its last rise.
 
     Returns:
         The logs at the optimum with their smoothed passes, the last step, and the reason why the
@@ -147,7 +153,7 @@ def climbed(
     scouts = [LevelSteps(floor, hold) for floor in floors]
     history: list[float] = []
     best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
-    for _ in range(most):
+    for left in range(most - 1, -1, -1):
         step = Step.of(legs)
         fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
         if fallen or not math.isfinite(step.reached):
@@ -181,6 +187,9 @@ def climbed(
             enough = GAIN * (30.0 if legs[0].stride > 1 else 1.0)
             level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
             if not fresh and step.gain < enough and (gains < enough or level):
+                break
+            if len(history) > 3 and history[-1] + left * max(*np.diff(history[-2:]), 0.0) < least:
+                reason = "another model is likelier"
                 break
         if best is not None:
             legs = best[0].moved(best[1], share * 0.5**halvings, best[2])

@@ -204,7 +204,7 @@ def test_simpler_shapes_that_are_near_are_fitted_first_where_they_stand(
     tried = []
     monkeypatch.setattr(room, "_reached", lambda *_: -lost)
 
-    def refit(models, near):
+    def refit(models, near, _least):
         tried.append((models[0].pattern.shape, models[0].pattern.drifting))
 
     model = Model(pattern_of(shape, drift=drift), {})
@@ -221,7 +221,7 @@ def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(like
     def reached(_start, models):
         return -abs(np.log(models[0].disturbance.processes[0].rate / 0.25 / likelier))
 
-    def refit(models, _near):
+    def refit(models, _near, _least):
         tried.extend(models[0].disturbance.processes)
 
     monkeypatch.setattr(room, "_reached", reached)
