@@ -1,7 +1,8 @@
 """LASSO and elastic net of a sparse design: coordinate descent, and an exact polish without Z'Z.
 
-At each penalty the working set has the columns that the strong rule admits, and the support. On it
-coordinate descent finds signs s; the optimum for these signs on the support A,
+A path begins at each penalty on the line through its last two points. The working set has the
+columns that the strong rule admits, and the support. On it coordinate descent finds signs s; the
+optimum for these signs on the support A,
 
     (Z_A'Z_A/m + mu I) v = Z_A'y/m - alpha w s,
 
@@ -14,20 +15,19 @@ Stiefel, J. Res. NBS 49 (1952) 409-436.
 """
 
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues
+from sparsefit.solvers.newton import by_gradients
 
 ROUGH = 1e-3  # of alpha: the largest move of a sweep, at which descent ends
 SHARPER = 0.1  # by which that is multiplied where its signs are not those of the optimum
 SWEEPS = 1000  # at most, of one descent
 ROUNDS, POLISHES = 40, 40
 INEXACT = 0.1  # of its first residual, to which a polish is solved while signs change
-GRADIENTS = 2000  # steps of conjugate gradients, at most
 EXACT = 1e-10  # of alpha: the error of a correlation at an optimum
 
 
@@ -46,7 +46,9 @@ class Walk:
             in_play[:] = True
         for _ in range(ROUNDS):
             self._descend(limits, ridge, np.flatnonzero(in_play), rough * alpha)
-            self._polish(limits, ridge, alpha)
+            for _ in range(POLISHES):
+                if self._polish(limits, ridge, alpha):
+                    break
             pull = self.design.correlate(self.residual[:, None])[:, 0]
             zero = self.values == 0
             rest = np.abs(pull - ridge * self.values - limits * np.sign(self.values))
@@ -70,55 +72,43 @@ class Walk:
         if design.direction is not None:
             self.residual -= shift * design.direction
 
-    def _polish(self, limits: Array, ridge: float, alpha: float) -> None:
-        """Go towards the optimum for the present signs, and for those that remain of them."""
-        samples = float(self.design.samples)
-        for _ in range(POLISHES):
-            used = np.flatnonzero(self.values)
-            part, values, scale = self.design.csc[:, used], self.values[used], self.scale[used]
-            pull = scale * (part.T @ self.residual) / samples  # R has no part along e
-            pull -= ridge * values + limits[used] * np.sign(values)
-            if np.abs(pull).max(initial=0.0) <= EXACT * alpha:
-                return
-            move, moved = self._solved(used, part, pull, ridge, 0.5 * EXACT * alpha)
-            flips = np.flatnonzero(values * (values + move) <= 0)
-            share = float((-values[flips] / move[flips]).min(initial=1.0))
-            self.residual -= share * moved
-            self.values[used] = values + share * move
-            if share == 1.0:
-                return
-            self.values[used[flips[-values[flips] / move[flips] <= share]]] = 0.0
+    def _polish(self, limits: Array, ridge: float, alpha: float) -> bool:
+        """Go towards the optimum for the present signs; whether they hold there."""
+        design, samples = self.design, float(self.design.samples)
+        used = np.flatnonzero(self.values)
+        part, values, scale = design.csc[:, used], self.values[used], self.scale[used]
+        across, means = part.T, design.means[used]
 
-    def _solved(
-        self, used: IntArray, part: Any, right: Array, ridge: float, stop: float
-    ) -> tuple[Array, Array]:
-        """x of (Z_A'Z_A/m + mu I) x = right by conjugate gradients, and Z_A x.
-
-        They end at an error ``stop``, or INEXACT of the first where x changes signs.
-        """
-        x, image, values = np.zeros(len(right)), np.zeros(part.shape[0]), self.values[used]
-        rest, direction, enough = right.copy(), right.copy(), INEXACT * np.abs(right).max()
-        square, across, design = float(rest @ rest), part.T, self.design
-        samples, scale, means = float(design.samples), self.scale[used], design.means[used]
-        for _ in range(GRADIENTS):
-            size = np.abs(rest).max()
-            if size <= stop or (size <= enough and np.any(values * (values + x) <= 0)):
-                break
-            scaled = scale * direction
-            seen = part @ scaled
+        def fitted(x: Array) -> Array:
+            """Z_A x (m,)."""
+            seen: Array = part @ (scale * x)
             if design.direction is not None:
-                seen -= float(means @ scaled) * design.direction
-            curvature = float(seen @ seen) / samples + ridge * float(direction @ direction)
-            if curvature <= 0.0:
-                break
-            length = square / curvature
-            x += length * direction
-            image += length * seen
-            rest -= length * (scale * (across @ seen) / samples + ridge * direction)
-            before, square = square, float(rest @ rest)
-            direction = rest + (square / before) * direction
-            self.steps += 1
-        return x, image
+                seen -= (means @ (scale * x)) * design.direction
+            return seen
+
+        def pulled(rest: Array) -> Array:
+            """Z_A'R/m (a,) of R without a part along e."""
+            out: Array = across @ rest
+            return out * scale / samples
+
+        def times(x: Array) -> Array:
+            return pulled(fitted(x)) + ridge * x
+
+        def has_flips(x: Array, rest: float) -> bool:
+            return rest <= INEXACT * size and bool(np.any(values * (values + x) <= 0))
+
+        pull = pulled(self.residual) - ridge * values - limits[used] * np.sign(values)
+        size = float(np.abs(pull).max(initial=0.0))
+        if size <= EXACT * alpha:
+            return True
+        move, steps, _ = by_gradients(times, pull, None, 0.5 * EXACT * alpha, has_flips)
+        flips = np.flatnonzero(values * (values + move) <= 0)
+        until = -values[flips] / move[flips]
+        share = float(until.min(initial=1.0))
+        self.residual -= share * fitted(move)
+        self.values[used], self.steps = values + share * move, self.steps + steps
+        self.values[used[flips[until <= share]]] = 0.0
+        return share == 1.0
 
 
 def descent_path(
@@ -131,15 +121,20 @@ def descent_path(
     count, k = len(alphas), len(cross)
     walk = Walk(design, target)
     weights, complete = np.zeros((count, k)), np.zeros(count, bool)
-    steps, pull, before = np.zeros(count, np.intp), cross, None
+    steps, pull, last = np.zeros(count, np.intp), cross, walk.residual.copy()
     for i, alpha in enumerate(alphas.tolist()):
-        strong = penalty.weights * (2.0 * alpha - (before or alpha))
+        before = float(alphas[i - 1]) if i else alpha
+        strong = penalty.weights * (2.0 * alpha - before)
         in_play = (np.abs(pull) >= strong) | (walk.values != 0)
-        taken = walk.steps
-        before = alpha
         if not walk.values.any() and np.all(np.abs(pull) <= alpha * penalty.weights * (1 + EXACT)):
             complete[i] = True
             continue
+        taken, residual = walk.steps, walk.residual.copy()
+        if i > 1 and alphas[i - 2] > before:  # the path is nearly straight: begin further along
+            share = min((before - alpha) / (float(alphas[i - 2]) - before), 1.0)
+            walk.values += share * (walk.values - weights[i - 2])
+            walk.residual += share * (residual - last)
+        last = residual
         pull, complete[i] = walk.settle(alpha * penalty.weights, alpha * penalty.ridge, in_play)
         weights[i], steps[i] = walk.values, walk.steps - taken
     return weights, complete, steps

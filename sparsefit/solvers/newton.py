@@ -137,28 +137,27 @@ def by_gradients(
     stop: Array | float | None = None,
     ends: Callable[[Array, float], bool] | None = None,
 ) -> tuple[Array, int, bool]:
-    """X (j, q) of A X = right by conjugate gradients from ``start`` or zero, steps, and success.
+    """X (j,) or (j, q) of A X = right by conjugate gradients from ``start``, steps, and success.
 
-    times(X): A X, A positive semidefinite: from zero X is the solution of least norm. stop: the
+    times(X): A X, A positive semidefinite; from zero X is the solution of least norm. stop: the
     largest residual, EXACT of the right side by default; ends(X, residual): whether X suffices.
     Source: Hestenes and Stiefel, J. Res. NBS 49 (1952) 409-436.
     """
     x = np.zeros(right.shape) if start is None else start.copy()
-    rest = right.copy() if start is None else right - times(x)
+    rest = right if start is None else right - times(x)
     stop = EXACT * np.abs(right).max(axis=0, initial=0.0) if stop is None else stop
-    direction, square = rest, np.einsum("jq,jq->q", rest, rest)
+    direction, square = rest, np.sum(rest * rest, axis=0)
     for count in range(GRADIENTS):
         size = np.abs(rest).max(axis=0, initial=0.0)
-        if np.all(size <= stop) or (ends is not None and ends(x, float(size.max()))):
+        if np.all(size <= stop) or (ends is not None and ends(x, float(np.max(size)))):
             return x, count, True
         image = times(direction)
-        curvature = np.einsum("jq,jq->q", direction, image)
-        length = np.divide(square, curvature, out=np.zeros(len(square)), where=curvature > 0.0)
+        curvature = np.sum(direction * image, axis=0)
+        length = square / np.where(curvature > 0.0, curvature, np.inf)
         x += length * direction
         rest = rest - length * image
-        before, square = square, np.einsum("jq,jq->q", rest, rest)
-        share = np.divide(square, before, out=np.zeros(len(square)), where=before > 0.0)
-        direction = rest + share * direction
+        before, square = square, np.sum(rest * rest, axis=0)
+        direction = rest + square / np.where(before > 0.0, before, np.inf) * direction
     return x, GRADIENTS, False
 
 
@@ -302,8 +301,8 @@ def _sparse_levels(
     across = sums.T.tocsr()
 
     def times(x: Array) -> Array:
-        product: Array = across @ (sums @ x) / on.samples + shift[:, None] * x
+        product: Array = across @ (sums @ x) / on.samples + shift * x
         return product
 
-    levels, _, is_solved = by_gradients(times, right[:, None], x[:, None])
-    return levels[:, 0] if is_solved else None
+    levels, _, is_solved = by_gradients(times, right, x)
+    return levels if is_solved else None
