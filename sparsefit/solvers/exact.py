@@ -43,7 +43,7 @@ from sparsefit.solvers.kernels import (
     kernel_for,
     path_on_gram,
 )
-from sparsefit.solvers.newton import Columns, by_gradients, definite
+from sparsefit.solvers.newton import Columns, Growing, by_gradients, definite
 from sparsefit.solvers.outliers import outlier_path
 
 FEW = 600  # columns, at most, that are all in the working set
@@ -182,7 +182,11 @@ def _by_targets(
         # Norms of one number are absolute values.
         penalty = AbsoluteValues(penalty.weights[penalty.groups], ridge=penalty.ridge)
     parts = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(targets)]
-    solved = [_along(design, target[:, part], penalty, alphas, cross[:, part]) for part in parts]
+    plain = type(penalty) is AbsoluteValues and np.ptp(penalty.weights) == 0.0 and design.in_memory
+    growing = Growing(design) if plain and len(cross) <= FEW and compiled("homotopy") else None
+    solved = [
+        _along(design, target[:, part], penalty, alphas, cross[:, part], growing) for part in parts
+    ]
     return Points(
         np.concatenate([points.weights for points in solved], axis=2),
         np.all([points.complete for points in solved], axis=0),
@@ -191,7 +195,14 @@ def _by_targets(
     )
 
 
-def _along(design: Design, target: Array, penalty: Penalty, alphas: Array, cross: Array) -> Points:
+def _along(
+    design: Design,
+    target: Array,
+    penalty: Penalty,
+    alphas: Array,
+    cross: Array,
+    growing: Growing | None,
+) -> Points:
     """The path of targets (m, q) whose blocks span all of them; cross Z'Y/m (k, q)."""
     k, count = len(cross), len(alphas)
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples))
@@ -201,6 +212,8 @@ def _along(design: Design, target: Array, penalty: Penalty, alphas: Array, cross
         weights, complete, steps = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
         return Points(weights[:, :, None], complete, steps, "descent")
     # Not on whether Z'Z was formed already: solutions depend on the data alone.
+    if growing is not None:
+        return path_on_gram(growing.values, cross, penalty, alphas, level**2, growing)
     few = FEW if count >= SEVERAL else START // 8
     if k <= few or penalty.restricted(np.arange(1)) is None:
         return path_on_gram(design.gram, cross, penalty, alphas, level**2)

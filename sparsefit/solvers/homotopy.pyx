@@ -63,7 +63,8 @@ cdef class Homotopy:
     sign; inverse: M in its leading n x n block, `age` updates old; weights and slope (n,): signed
     weights and their growth by t; mu (n,); correlation c - G w + (1 - t) delta (k,) and descent,
     its decrease by t; standing (k,): OPEN, WAITING or ACTIVE; known (k,): the weights of the last
-    optimum; step x and product G x: the last direction.
+    optimum; step x and product G x: the last direction. Of a G whose rows are formed as they are
+    needed, ready (k,) marks those that are, and fill(column, correlation) forms that of a column.
     """
 
     cdef Py_ssize_t k, n, age
@@ -71,6 +72,8 @@ cdef class Homotopy:
     cdef double below, alpha
     cdef bint ridged
     cdef const double[:, ::1] gram
+    cdef const unsigned char[::1] ready
+    cdef object fill
     cdef const double[::1] cross, ridge
     cdef double[:, ::1] rows, inverse
     cdef int[::1] pivots
@@ -78,9 +81,10 @@ cdef class Homotopy:
     cdef double[::1] sign, weights, slope, mu, step, error, fix, work
     cdef double[::1] correlation, descent, drift, product, known
 
-    def __init__(self, gram, cross, ridge):
+    def __init__(self, gram, cross, ridge, ready=None, fill=None):
         self.gram, self.cross, self.ridge, self.k = gram, cross, ridge, len(cross)
         k = self.k
+        self.ready, self.fill = np.ones(k, np.uint8) if ready is None else ready, fill
         if self.gram.shape[0] != k or self.gram.shape[1] != k or len(self.ridge) != k:
             raise ValueError("a homotopy wants gram (k, k), cross (k,) and ridge (k,)")
         self.rows, self.inverse = np.empty((k, k)), np.empty((k, k))  # what none touches is free
@@ -152,15 +156,18 @@ cdef double largest(Py_ssize_t n, const double[::1] x) noexcept:
     return most
 
 
-cdef void place(Homotopy h, Py_ssize_t position, Py_ssize_t column, double sign) noexcept:
+cdef int place(Homotopy h, Py_ssize_t position, Py_ssize_t column, double sign) except -1:
     """Write the row of an active column."""
+    if not h.ready[column]:
+        h.fill(column, np.asarray(h.correlation))
     h.index[position] = column
     h.sign[position] = sign
     for j in range(h.k):
         h.rows[position, j] = sign * h.gram[column, j]
+    return 0
 
 
-cdef int inverted(Homotopy h, double alpha) noexcept:
+cdef int inverted(Homotopy h, double alpha) except -1:
     """Compute M again, with mu at this alpha; active columns that depend on others wait, at zero.
 
     Correlations are exact then.
@@ -195,7 +202,7 @@ cdef int inverted(Homotopy h, double alpha) noexcept:
     return WORN if failed else FINE
 
 
-cdef int return_to_known(Homotopy h, double alpha) noexcept:
+cdef int return_to_known(Homotopy h, double alpha) except -1:
     """Begin again at the known weights, for alpha."""
     h.n = 0
     h.alpha = alpha
@@ -245,7 +252,7 @@ cdef int refined(Homotopy h, Py_ssize_t count, Py_ssize_t position, double scale
     return FINE
 
 
-cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double fall) noexcept:
+cdef int enter(Homotopy h, Py_ssize_t column, double sign, double alpha, double fall) except -1:
     """Activate a column with weight zero and update the slope; a dependent one has to wait.
 
     The step x is one unit of the column, the others reacting so that their correlations stay.
@@ -315,7 +322,7 @@ cdef int leave(Homotopy h, Py_ssize_t position) noexcept:
     return FINE
 
 
-cdef int walk(Homotopy h, double goal, Py_ssize_t limit) noexcept:
+cdef int walk(Homotopy h, double goal, Py_ssize_t limit) except -1:
     """Follow the path from exact correlations to alpha `goal`; WORN: M became inaccurate."""
     cdef double alpha = h.alpha, fall = h.alpha - goal, remains = 1.0
     cdef double soonest, rate, near, sign, length
@@ -398,7 +405,7 @@ cdef double breach(Homotopy h, double alpha) noexcept:
     return worst
 
 
-cdef int reach(Homotopy h, double goal, double[::1] out) noexcept:
+cdef int reach(Homotopy h, double goal, double[::1] out) except -1:
     """Follow the path to `goal`, where needed with M computed again or from the known weights.
 
     out (k,): the weights of the optimum (FINE), or those of the smallest violation (WORN).

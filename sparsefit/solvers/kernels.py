@@ -29,6 +29,7 @@ from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.solvers.newton import (
     Columns,
+    Growing,
     relative_gap,
     solved_by_newton,
     towards_clusters_optimum,
@@ -86,13 +87,14 @@ def homotopy(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -
     assert isinstance(on.penalty, AbsoluteValues)
     assert on.gram is not None
     least = float(on.penalty.weights.min())
-    omega, gram, pull = on.penalty.weights / least, on.gram, on.cross[:, 0]
+    omega, gram, pull, growing = on.penalty.weights / least, on.gram, on.cross[:, 0], on.growing
     if np.any(omega != 1.0):
         gram, pull = gram / np.multiply.outer(omega, omega), pull / omega
     height = float(np.abs(pull).max()) or 1.0
     unit, scale = height / least, height / omega
     ridge = on.penalty.ridge * unit / omega**2
-    walk = compiled("homotopy").Homotopy(np.ascontiguousarray(gram), pull / height, ridge)
+    rows = () if growing is None else (growing.ready, growing.fill)
+    walk = compiled("homotopy").Homotopy(np.ascontiguousarray(gram), pull / height, ridge, *rows)
     last = max(warm_starts)
     if last < BEGIN:
         walk.start(warm_starts[last][:, 0] / scale, last / unit)
@@ -102,6 +104,8 @@ def homotopy(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -
         walk.advance(alphas / unit * (1.0 + 1e-15), values, complete)
     steps, values = np.zeros(len(alphas), np.intp), (values * scale)[:, :, None]
     steps[-1] = walk.steps
+    if growing is not None and not complete.all():
+        growing.complete()
     for i in np.flatnonzero(~complete):  # on columns that nearly depend on each other
         values[i], gap, _ = solved_by_newton(on, float(alphas[i]), values[i], stop)
         complete[i] = gap <= stop
@@ -260,15 +264,23 @@ def kernel_for(penalty: Penalty, targets: int) -> str:
 
 
 def path_on_gram(
-    gram: Array, cross: Array, penalty: Penalty, alphas: Array, square: float
+    gram: Array,
+    cross: Array,
+    penalty: Penalty,
+    alphas: Array,
+    square: float,
+    growing: Growing | None = None,
 ) -> Points:
-    """The path on all columns of targets solved together: G (k, k), B (k, q), |Y|^2/m."""
+    """The path on all columns of targets solved together: G (k, k), B (k, q), |Y|^2/m.
+
+    growing: by what G is formed as columns enter, of a penalty that `Growing` suits.
+    """
     level, name = float(np.sqrt(square)), kernel_for(penalty, cross.shape[1])
     order = in_order(penalty.blocks, 0)[0]
     if order is not None and (ordered := penalty.restricted(order)) is not None:
         points = path_on_gram(gram[np.ix_(order, order)], cross[order], ordered, alphas, square)
         return replace(points, weights=points.weights[:, np.argsort(order)])
-    on = Columns(penalty.in_units(level), cross / level, 0, gram)
+    on = Columns(penalty.in_units(level), cross / level, 0, gram, growing=growing)
     goal = DESCENDED if name == "block descent" else STOP
     points = KERNELS[name](on, alphas / level, {BEGIN: np.zeros(cross.shape)}, goal)
     return replace(points, weights=points.weights * level, words=f"{name}, all columns")

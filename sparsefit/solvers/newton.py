@@ -29,6 +29,7 @@ import numpy as np
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.regression.certificate import SHARES
+from sparsefit.regression.design import Design
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import Penalty
 
@@ -36,7 +37,33 @@ OUTER, INNER, HALVINGS = 60, 50, 25
 FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit rms
 PATIENCE = 6  # proximal points without a smaller gap
 EXACT, GRADIENTS = 1e-13, 2000  # relative residual, and the most steps of conjugate gradients
+JOINING, MANY = 24, 72  # rows of G that are formed at a time, and after which all are
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
+
+
+class Growing:
+    """Rows of G = Z'Z/m (k, k) of a design, formed as columns enter: values (k, k), ready (k,).
+
+    With a column come those that are most correlated with the residual.
+    """
+
+    def __init__(self, design: Design) -> None:
+        self.design, k = design, design.shape[1]
+        self.values, self.ready = np.zeros((k, k)), np.zeros(k, np.uint8)
+
+    def fill(self, column: int, correlation: Array) -> None:
+        """Form the row of a column and some others; all, where MANY are not enough."""
+        if np.count_nonzero(self.ready) >= MANY:
+            self.complete()
+            return
+        rank = np.where(self.ready, -1.0, np.abs(correlation))
+        rank[column] = np.inf
+        index = np.sort(np.argsort(-rank, kind="stable")[:JOINING])
+        self.values[index], self.ready[index] = self.design.products(index, slice(None)), True
+
+    def complete(self) -> None:
+        """Form all rows."""
+        self.values[:], self.ready[:] = self.design.gram, True
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +72,7 @@ class Columns:
 
     penalty: on these columns; cross B = Z_J'Y/m (j, q); gram G = Z_J'Z_J/m (j, j), or None, where
     the rows Z_J (m, j) are used, dense or scipy's CSC; target Y (m, q), for descent on residuals.
+    growing: by what G is formed.
     """
 
     penalty: Penalty
@@ -53,6 +81,7 @@ class Columns:
     gram: Array | None
     rows: Any = None
     target: Array | None = None
+    growing: Growing | None = None
 
     def times(self, values: Array) -> Array:
         """G V (j, q) of V (j, q)."""

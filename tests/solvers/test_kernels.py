@@ -247,19 +247,22 @@ def test_a_target_that_no_column_correlates_with_has_weights_of_zero():
         assert not points.weights.any()
 
 
-@pytest.mark.parametrize("kind", ["LASSO", "groups"])
-def test_a_point_of_few_columns_is_solved_on_those_that_pull_the_most(kind):
+def test_few_columns_are_solved_on_those_that_pull_the_most():
     rng, few = np.random.default_rng(6), exact.START // 8
     theta, used = rng.normal(size=(200, 8 * few)), np.arange(few, 2 * few)
-    penalty = AbsoluteValues(np.ones(8 * few))
-    if kind == "groups":
-        penalty = GroupNorms(np.arange(8 * few) // few, np.ones(8))
-    target = theta[:, used] @ np.ones((few, 1))
-    design = Design(theta, 200)
-    alpha = 0.7 * penalty.dual_norm(design.correlate(target)).max()
-    points = exact.exact_path(design, target, penalty, np.array([alpha]))
+    design, target = Design(theta, 200), theta[:, used] @ np.ones((few, 1))
+    groups = GroupNorms(np.arange(8 * few) // few, np.ones(8))
+    alpha = 0.7 * groups.dual_norm(design.correlate(target)).max()
+    points = exact.exact_path(design, target, groups, np.array([alpha]))
     assert points.complete.all()
     assert points.words.endswith(f", {few} columns in play")
+    alphas = np.geomspace(0.5, 1e-3, 5)
+    target, penalty = target + rng.normal(size=(200, 1)), AbsoluteValues(np.ones(8 * few))
+    path = exact.exact_path(design, target, penalty, alphas)
+    design = replace(design)  # whose first point takes but some rows of Z'Z
+    begin = exact.exact_path(design, target, penalty, alphas[:1])
+    assert "gram" not in vars(design)
+    np.testing.assert_allclose(begin.weights[0], path.weights[0], atol=1e-12)
 
 
 def test_a_walk_from_anywhere_ends_at_the_optimum():
