@@ -39,6 +39,7 @@ Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), section
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -167,16 +168,16 @@ class DualPoint:
 
 
 def duality_gaps(
-    design: Design, target: Array, weights: Array, alphas: Array, penalty: Penalty
+    design: Design, target: Array, weights: Sequence[Array], alphas: Array, penalty: Penalty
 ) -> tuple[Certificate, ...]:
-    """Certificates of weights (p, k, n), in original units, at the penalties alphas (p,)."""
+    """Certificates of p weights (k, n), in original units, at the penalties alphas (p,)."""
     size = target.shape[1] * max(design.shape)
     entries = 2**19 if design.kind == "sparse" else 2**22  # whose sums are no matrix products
     step, certificates = max(entries // size, 1), list[Certificate]()
     for start in range(0, len(weights), step):
         part = slice(start, start + step)
         # Columns are the last axis in memory: numpy is slow where that has few entries.
-        scaled = np.array(weights[part].transpose(0, 2, 1), order="C")
+        scaled = np.array([each.T for each in weights[part]], order="C")
         scaled *= design.rms
         certificates += _gaps(design, target, scaled.transpose(0, 2, 1), alphas[part], penalty)
     return tuple(certificates)

@@ -153,7 +153,7 @@ def certificates_of(
     if kind == "duality_gap" and solved:
         penalty = points[0].penalty(problem)
         alphas = problem.alpha_max(penalty) * np.array([points[i].alpha_fraction for i in solved])
-        values = np.array(list(solved.values()))
+        values = list(solved.values())
         gaps = duality_gaps(problem.design, problem.target, values, alphas, penalty)
         certificates = dict(zip(solved, gaps, strict=True))
     elif kind != "duality_gap":

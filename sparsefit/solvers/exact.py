@@ -111,10 +111,12 @@ class WorkingSet:
         part = self.penalty.restricted(self.index)
         assert part is not None
         rows: Any = None if self.store is None else self.store[: len(self.index)].T
+        direction = self.design.direction if rows is None else None
         if self.gram is None and rows is None:
             rows = self.design.csc[:, self.index]
             rows.data = rows.data / np.repeat(self.design.rms[self.index], np.diff(rows.indptr))
-        return Columns(part, self.cross, self.design.samples, self.gram, rows, self.target)
+        own = (self.design.samples, self.gram, rows, self.target, direction)
+        return Columns(part, self.cross, *own)
 
     def fitted(self, values: Array) -> Array:
         """Z_J V (m, q) of V (j, q)."""
@@ -280,7 +282,7 @@ def _by_gram(design: Design, name: str, size: int, whole: bool, stays: bool) -> 
     whole: whether a dense Z_J is stored, of however many columns; stays: whether it is sparse.
     """
     if name == "cluster descent":
-        return not stays or design.direction is not None or design.csc.nnz >= 2**31
+        return not stays or design.csc.nnz >= 2**31
     few = {"block descent": design.shape[0] // 4, "newton": design.shape[0]}
     return not whole or size <= few.get(name, size)
 

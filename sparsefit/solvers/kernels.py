@@ -42,7 +42,7 @@ DESCENDED = 1e-9  # that of descent, which converges linearly
 MOST = 300  # sweeps at one penalty, before the variances take over
 CLUSTERED, SWEEPS = 500, 30  # rounds for clusters at one penalty, and the most sweeps of one
 ALIKE = 20  # rounds, after which the optimum of each face is taken, as columns are too much alike
-POWERS = 20  # of G, for the length of a gradient's step
+POWERS = 8  # of G, for the length of a gradient's step
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,15 +116,15 @@ def _each(
     on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float, improved: Improved
 ) -> Points:
     """A path, each penalty from the nearest warm start; Newton's method ends where it must."""
-    warm_starts, points = dict(warm_starts), Points.zeros(len(alphas), on.cross)
+    near, points = warm_starts, Points.zeros(len(alphas), on.cross)
     for i, alpha in enumerate(alphas.tolist()):
-        start = warm_starts[min(warm_starts, key=lambda each: abs(each - alpha))]
+        start = near[min(near, key=lambda each: abs(each - alpha))]
         values, gap, points.steps[i] = improved(alpha, start)
         if gap > stop:
             values, gap, taken = solved_by_newton(on, alpha, values, stop)
             points.steps[i] += taken
-        warm_starts[alpha] = points.weights[i] = values
-        points.complete[i] = gap <= stop
+        points.weights[i], points.complete[i] = values, gap <= stop
+        near = {**warm_starts, alpha: values}
     return points
 
 
@@ -213,23 +213,28 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
     Source: Larsson, Klopfenstein, Massias and Wallin, "Coordinate descent for SLOPE" (2023).
     """
     assert isinstance(on.penalty, SortedNorm)
+    target: Any = on.target
     gram, rows = None if on.gram is None else np.ascontiguousarray(on.gram), on.rows
     x = np.cos(np.arange(len(on.cross)))[:, None]
     for _ in range(POWERS):  # the largest eigenvalue of G; opposite columns have no constant one
         x = on.times(x / np.linalg.norm(x))
     step, sweep = 1.0 / (1.05 * float(np.linalg.norm(x))), compiled("sweeps").descend_clusters
     penalty, sums = on.penalty, np.concatenate([[0.0], np.cumsum(on.penalty.weights)])
-    columns = None if gram is not None else (rows.data, rows.indices, rows.indptr, on.samples)
+    columns = None
+    if gram is None:
+        means = np.zeros(len(x)) if on.direction is None else rows.T @ on.direction
+        columns = (rows.data, rows.indices, rows.indptr, on.samples, means)
 
     def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
         gap, rounds = np.inf, 0
+        values, _ = towards_clusters_optimum(on, alpha, values)
         for rounds in range(CLUSTERED):
             pull = on.cross - on.times(values)
             gap = relative_gap(on, alpha, values, pull)
             if gap <= stop:
                 break
             values = penalty.prox(values + step * pull, step * alpha)
-            state = on.cross - on.times(values) if columns is None else on.target - rows @ values
+            state = target - on.off(rows @ values) if columns else on.cross - on.times(values)
             price = alpha * sums
             going = sweep(gram, columns, price, state[:, 0], values[:, 0], SWEEPS)
             going = going or rounds >= ALIKE

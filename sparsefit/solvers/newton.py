@@ -72,7 +72,7 @@ class Columns:
 
     penalty: on these columns; cross B = Z_J'Y/m (j, q); gram G = Z_J'Z_J/m (j, j), or None, where
     the rows Z_J (m, j) are used, dense or scipy's CSC; target Y (m, q), for descent on residuals.
-    growing: by what G is formed.
+    direction e (m,), |e| = 1, is to be projected off the rows. growing: by what G is formed.
     """
 
     penalty: Penalty
@@ -81,6 +81,7 @@ class Columns:
     gram: Array | None
     rows: Any = None
     target: Array | None = None
+    direction: Array | None = None
     growing: Growing | None = None
 
     def times(self, values: Array) -> Array:
@@ -88,7 +89,14 @@ class Columns:
         if self.gram is not None:
             return np.asarray(self.gram @ values)
         assert self.rows is not None
-        return np.asarray(((self.rows @ values).T @ self.rows).T / self.samples)
+        return np.asarray((self.off(self.rows @ values).T @ self.rows).T / self.samples)
+
+    def off(self, rows: Array) -> Array:
+        """(I - e e') R of R (m, ...); R itself where there is no e."""
+        if self.direction is None:
+            return rows
+        out: Array = rows - np.multiply.outer(self.direction, self.direction @ rows)
+        return out
 
     @cached_property
     def roots(self) -> tuple[Array, Array, float]:
@@ -128,7 +136,7 @@ class Columns:
     def _dense(self, columns: IntArray) -> Array:
         assert self.rows is not None
         part = self.rows[:, columns]
-        return part if isinstance(part, np.ndarray) else np.asarray(part.toarray())
+        return part if isinstance(part, np.ndarray) else self.off(part.toarray())
 
     def within(self, on: IntArray, factor: Any, targets: int) -> Array:
         """N'G N on the coefficients ``on`` (c,), flat in (j, q), of N (c, d), None for identity."""
@@ -296,7 +304,8 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]
     if not len(order):
         return values, False
-    sign, first = np.sign(values[order, 0]), np.flatnonzero(np.diff(size[order], prepend=-1.0))
+    size, sign = size[order], np.sign(values[order, 0])
+    first = np.concatenate([[0], np.flatnonzero(size[1:] != size[:-1]) + 1])
     counts, price = np.diff(first, append=len(order)), alpha * on.penalty.weights[: len(order)]
     right, levels = np.add.reduceat(sign * on.cross[order, 0] - price, first), None
     if on.gram is not None:
@@ -305,11 +314,13 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
         square.flat[:: len(square) + 1] += SHIFT * counts
         levels = definite(square, right)
     else:
-        levels = _sparse_levels(on, order, sign, first, right, SHIFT * counts, size[order[first]])
+        levels = _sparse_levels(on, order, sign, first, right, SHIFT * counts, size[first])
     if levels is None:
         return values, False
     # Of each cluster above the next smaller one, from the smallest.
-    rise, after = (np.diff(part[::-1], prepend=0.0) for part in (size[order[first]], levels))
+    levels = np.stack([size[first], levels])
+    levels[:, :-1] -= levels[:, 1:]
+    rise, after = levels[:, ::-1]
     until = np.full(len(rise), np.inf)
     until[after < 0.0] = rise[after < 0.0] / (rise - after)[after < 0.0]
     share = min(float(until.min()), 1.0)
@@ -330,7 +341,7 @@ def _sparse_levels(
     across = sums.T.tocsr()
 
     def times(x: Array) -> Array:
-        product: Array = across @ (sums @ x) / on.samples + shift * x
+        product: Array = across @ on.off(sums @ x) / on.samples + shift * x
         return product
 
     levels, _, is_solved = by_gradients(times, right, x)

@@ -34,18 +34,14 @@ GROSS = 100.0  # knots, at which a target is cut off at first
 class WithOutliers(Columns):
     """The sums of (I - e e') [Z, sqrt(m) I], of which ``rows`` holds Z (m, j), orthogonal to e.
 
-    direction e (m,), |e| = 1, or None without an intercept; weights are (j + m, 1).
+    direction e, or None without an intercept; weights are (j + m, 1).
     """
-
-    direction: Array | None = None
 
     def times(self, values: Array) -> Array:
         """G V (j + m, 1) of the coefficients and outliers V."""
         assert self.rows is not None
         count, root = self.rows.shape[1], np.sqrt(self.samples)
-        fitted = self.rows @ values[:count] + root * values[count:]
-        if self.direction is not None:
-            fitted -= np.multiply.outer(self.direction, self.direction @ fitted)
+        fitted = self.off(self.rows @ values[:count] + root * values[count:])
         return np.concatenate([self.rows.T @ fitted, root * fitted]) / self.samples
 
     def solved(self, on: IntArray, factor: Any, pull: Array, step: float, targets: int) -> Array:

@@ -21,6 +21,7 @@ cdef enum:
     HISTORY = 5  # the moves that are extrapolated from
 
 cdef double EXACT = 1e-14  # relative change of that norm that ends them
+cdef double NEGLIGIBLE = 1e-12  # of the square of a sum of columns, which a mean was taken off
 cdef double SETTLED = 0.03  # of the largest move of clusters, at which sweeps over them end
 
 
@@ -310,28 +311,31 @@ def descend_clusters(
     """Sweep over SLOPE's clusters, each to its optimum, past others or into one of them.
 
     price (j + 1,): sums of the leading alpha lambda. Values v (j,) and the state are worked on in
-    place: the correlation B - G v (j,) or, of sparse columns, (data, rows, starts, samples) of
-    scipy's CSC where ``gram`` is None, the residual (m,). Returns whether no cluster met another.
+    place: the correlation B - G v (j,) or, of sparse columns, (data, rows, starts, samples, means)
+    of scipy's CSC where ``gram`` is None, the residual plus a multiple of e (m,), in the end.
+    Returns whether no cluster met another.
     """
     cdef Clusters c = Clusters(np.asarray(values))
     cdef int j = len(values), one = 1
     cdef Py_ssize_t k, a, l, first, size, rank, place
     cdef double square, pull, level, step, turn, largest = 0.0, moves, per = 1.0
+    cdef double mean = 0.0, shift = 0.0, whole
     cdef bint merges, same = True, sparse = gram is None
-    cdef const double[::1] data
+    cdef const double[::1] data, means
     cdef const int[::1] rows, starts
     cdef double[::1] sum_of_columns
     if sparse:
-        data, rows, starts, samples = columns
+        data, rows, starts, samples, means = columns
         per, sum_of_columns = 1.0 / samples, np.zeros(len(state))
     for _ in range(sweeps):
         k, moves = 0, 0.0
         while k < c.d:
             first, size = c.begin[k], c.begin[k + 1] - c.begin[k]
-            square = pull = 0.0
+            square = pull = mean = 0.0
             for i in range(first, first + size):
                 a = c.member[i]
                 if sparse:
+                    mean += c.sign[a] * means[a]
                     for l in range(starts[a], starts[a + 1]):
                         sum_of_columns[rows[l]] += c.sign[a] * data[l]
                     continue
@@ -345,10 +349,11 @@ def descend_clusters(
                     square += per * turn * turn
                     pull += per * turn * state[rows[l]]
                     sum_of_columns[rows[l]] = 0.0
-            if not square > 0.0:
+            whole, square = square, square - per * mean * mean
+            if not square > NEGLIGIBLE * whole:  # the sum of a cluster may be constant
                 k += 1
                 continue
-            pull += square * c.level[k]
+            pull += square * c.level[k] - per * mean * shift
             turn = 1.0 if pull > 0.0 else -1.0
             pull = fabs(pull)
             rank, place, merges = first, k, False
@@ -375,6 +380,7 @@ def descend_clusters(
             if step == 0.0:
                 k += 1
                 continue
+            shift -= step * mean
             for i in range(first, first + size):
                 a = c.member[i]
                 pull = -step * c.sign[a]

@@ -146,8 +146,6 @@ def test_groups_of_one_column_for_one_target_are_solved_as_absolute_values():
     np.testing.assert_array_equal(apart.weights, plain.weights)
     np.testing.assert_allclose(joint.weights, plain.weights[:, :, :1], atol=1e-12)
     assert "homotopy" in joint.words
-    both = exact.exact_path(design, target, GroupNorms(order, weights), alphas)
-    assert "variational" in both.words
 
 
 @pytest.mark.parametrize("kind", ["copies", "opposites", "cumulated"])
@@ -170,15 +168,17 @@ def test_clusters_of_columns_that_are_alike_are_certified(kind):
         assert max(gap.bound for gap in gaps) < 1e-8
 
 
-@pytest.mark.parametrize("most", [0, 500])
-def test_sparse_clusters_are_descended_in_their_columns_to_the_optimum(most, monkeypatch):
+@pytest.mark.parametrize(("most", "centred"), [(0, True), (500, True), (500, False)])
+def test_sparse_clusters_are_descended_in_their_columns(most, centred, monkeypatch):
     """Or Newton's method ends it; neither forms Z'Z."""
     rng = np.random.default_rng(8)
     theta = sparse.random(90, 700, 0.05, "csc", random_state=rng)
     target = theta[:, :4] @ rng.normal(size=(4, 1)) + 0.05 * rng.normal(size=(90, 1))
     design, penalty = Design(theta, 90), SortedNorm(np.linspace(1.0, 0.3, 700))
+    design = replace(design, direction=np.full(90, 90**-0.5)) if centred else design
+    target = design.off(target)
     alphas = float(penalty.dual_norm(design.correlate(target)).max()) * np.geomspace(0.9, 0.05, 6)
-    whole = exact.exact_path(Design(theta.toarray(), 90), target, penalty, alphas)
+    whole = exact.exact_path(replace(design, source=theta.toarray()), target, penalty, alphas)
     monkeypatch.setattr(kernels, "CLUSTERED", most)
     monkeypatch.setattr(exact, "SMALL_CLUSTERS", 0)
     monkeypatch.setattr(Design, "products", None)
