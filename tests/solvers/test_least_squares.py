@@ -273,10 +273,11 @@ def test_omp_ends_where_no_column_explains_anything():
 def test_omp_finds_two_flows():
     flow = sf.flows.SuperposedFlow((sf.CellularFlow(10.0, 3.0), sf.CellularFlow(8.0, 5.0)))
     flown = sf.simulate_flight(flow, VEHICLE, duration=20.0, sample_rate=100.0, seed=1)
-    problem = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build([Derivative()(flown)], [VEHICLE])
+    built = Library(LengthScaleGrid(2.0, 7.0, step=0.5)).build([Derivative()(flown)], [VEHICLE])
+    problem = RegressionProblem.from_arrays(built.theta, 1e-3 * built.target, built.groups)
     backend = GroupOMP()
     weights = backend.solve(problem).weights
-    np.testing.assert_allclose(problem.group_scales[chosen(problem, weights)], [3.0, 5.0])
+    np.testing.assert_allclose(built.group_scales[chosen(problem, weights)], [3.0, 5.0])
     np.testing.assert_array_equal((backend.next_weights(problem, weights) != 0), weights != 0)
     early = GroupOMP(scales=1).solve(problem).weights  # a stop that is too soon is seen
     assert np.any((backend.next_weights(problem, early) != 0) != (early != 0))
