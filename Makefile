@@ -69,7 +69,7 @@ $(VENV)/.dev: $(VENV)/.tests
 	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
 
 $(VENV)/.docs: $(VENV)/.installed
-	$(EXTRAS) docs > $@
+	$(EXTRAS) docs peers > $@
 	$(BIN)/python -m pip install --quiet --requirement $@ || (rm $@; exit 1)
 
 clean:

@@ -108,14 +108,15 @@ class OptionPlace(Place):
 
     def error(self, problem: str) -> InputError:
         """`--length-scale must be above 0`, keys in the words as options, too."""
-        words = re.sub(r"(?<!['\"\w])[a-z]+_[a-z_]+", lambda name: flag(name[0]), problem)
+        key = r"(?<!['\"\w])([a-z]+_[a-z_]+|timescale)"
+        words = re.sub(key, lambda name: flag(name[0]), problem)
         return InputError(f"{flag(self.key)} {words}" if self.key else words)
 
 
 def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | None) -> Option:
     """The option of a key of a study file, with the words of the key."""
-    sentence = re.sub("`([a-z]+_[a-z_]+)`", lambda name: flag(name[1]), words).replace("`", "")
-    sentence = sentence.replace("%", "%%").replace(" Needed.", "")
+    sentence = re.sub("`([a-z]+_[a-z_]+|timescale|drag)`", lambda name: flag(name[1]), words)
+    sentence = sentence.replace("`", "").replace("%", "%%").replace(" Needed.", "")
     extra = {"default": None} if read is None else None  # as a flag that was not given
     return Option(flag(key), sentence, metavar, read, extra)
 

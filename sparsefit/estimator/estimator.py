@@ -63,7 +63,7 @@ class Estimator:
             from sparsefit.likelihood.causes import FREEDOMS
 
             for name in self.free:
-                one_of("estimator free", name, FREEDOMS)
+                one_of("cause to free", name, FREEDOMS)
             object.__setattr__(self, "free", tuple(self.free))
 
     def estimate(self, flights: Flight | Sequence[Flight]) -> Estimate:

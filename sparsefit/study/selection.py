@@ -177,7 +177,7 @@ def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
     words = [[] if only_default else [name] for name in rows["reading"]]
     for name in own:
         for parts, level in zip(words, rows[name], strict=True):
-            parts.append(f"{factor_words(name)} none" if level == "none" else str(level))
+            parts.append(f"{factor_words(name)} {level}")
     backends = [  # of `reading: back-end with levels`
         title.removeprefix(f"{reading}: ").partition(" with ")[0]
         for title, reading in zip(rows["title"], rows["reading"], strict=True)
