@@ -151,7 +151,8 @@ class Arena:
         self.unit, self.data, self.file = unit, data, self.crew.home / f"{unit}.npz"
         if not self.file.exists():
             write_data(data, self.file)
-        cases, clock, turn = [self._case(cell) for cell in cells], self.plan.definition.clock, 0
+        clock, turn = self.plan.definition.clock, 0
+        cases = [Case(cell, self.plan.contenders[cell]) for cell in cells]
         for case in cases:
             with case.ending():
                 self._begin(case, cases)
@@ -167,17 +168,11 @@ class Arena:
                     self._hold_out(case)
         return list(map(self._outcome, cases))
 
-    def _case(self, cell: int) -> Case:
-        case = Case(cell, self.plan.contenders[cell])
-        if not case.contender.missing:
-            backend = case.contender.settled
-            case.points = len(fractions_of(backend, self.plan.fractions)) or 1
-        return case
-
     def _begin(self, case: Case, cases: Sequence[Case]) -> None:
         """The first solve, which is certified, and counts as a repeat unless it is a warm-up."""
         if case.contender.missing:
             raise NoAnswerError("skipped", case.contender.missing)
+        case.points = len(fractions_of(case.contender.settled, self.plan.fractions)) or 1
         case.values["load"] = os.getloadavg()[0]
         for other in cases:
             alike = other.contender.names == case.contender.names

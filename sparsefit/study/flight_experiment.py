@@ -22,20 +22,9 @@ from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.codec import Place, integer
 from sparsefit.errors import InputError, is_real
+from sparsefit.study import crossing
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, STATUSES, Outcome, kinds_of
-from sparsefit.study.crossing import (
-    ALPHA,
-    MOST_CASES,
-    SECTION_KEYS,
-    Cell,
-    Protocols,
-    cross,
-    dotted_keys,
-    named,
-    read_backends,
-    read_protocols,
-    read_setup,
-)
+from sparsefit.study.crossing import ALPHA, Cell, Protocols
 from sparsefit.study.draw import Logged, Logs
 from sparsefit.study.flight_desk import FlightDesk, truth_of
 from sparsefit.study.keys import FlightFile
@@ -72,29 +61,29 @@ class FlightExperiment(Plan):
     @classmethod
     def read(cls, file: FlightFile, place: Place) -> FlightExperiment:
         """The flights and cells of a study file, every combination resolved."""
-        sections = {name: dict(getattr(file, name)) for name in SECTION_KEYS}
+        sections = {name: dict(getattr(file, name)) for name in crossing.SECTION_KEYS}
         flights, within, here = sections["flights"], place.within("flights"), place.within("sweep")
         count, parts = 0, dict[str, Any]()
         if "files" not in flights:
             if "count" not in flights:
                 raise within.at("count").error("missing: give it")
             count = integer(flights.pop("count"), within.at("count"), least=1)
-        drawn = read_setup(sections, place, parts).flights
+        drawn = crossing.read_setup(sections, place, parts).flights
         if isinstance(drawn, Logs):
             count = len(drawn.pieces)
         # The order of keys in the file means nothing.
-        levels = sorted(dotted_keys(file.sweep, here).items())
+        levels = sorted(crossing.dotted_keys(file.sweep, here).items())
         sweep = {name: tuple(distinct(value, here.at(name))) for name, value in levels}
-        fitted = read_backends(file, place.within("backends"))
-        protocols = read_protocols(file, sweep, place.within("protocols"))
+        fitted = crossing.read_backends(file, place.within("backends"))
+        protocols = crossing.read_protocols(file, sweep, place.within("protocols"))
         planned = count * len(protocols) * math.prod(map(len, sweep.values())) * len(fitted)
-        if planned > MOST_CASES:
-            words = f"plans {planned} cases, more than {MOST_CASES}: shorten [sweep], the back-end"
-            raise InputError(f"{place.file}: {words} settings or flights.count")
+        if planned > crossing.MOST_CASES:
+            words = f"plans {planned} cases, more than {crossing.MOST_CASES}: shorten [sweep]"
+            raise InputError(f"{place.file}: {words}, the back-end settings or flights.count")
         if (split := file.split) is not None and split.validate + split.evaluate != count:
             words = f"counts sum to {split.validate + split.evaluate}, not to the {count}"
             raise place.within("split").error(f"{words} of flights.count")
-        points = tuple(cross(sections, protocols, sweep, fitted, place, parts))
+        points = tuple(crossing.cross(sections, protocols, sweep, fitted, place, parts))
         return cls(file, place.file, count, protocols, sweep, points)
 
     def split(self, flight: int) -> str:
@@ -375,5 +364,5 @@ def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:
     for key, own in settings.items():
         alike = [settings[other] for other in every if other[1] == key[1]]
         varied = [name for name in own if any(other.get(name) != own[name] for other in alike)]
-        words[key] = named(key[1], {name: own[name] for name in varied})
+        words[key] = crossing.named(key[1], {name: own[name] for name in varied})
     return words

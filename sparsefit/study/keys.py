@@ -12,15 +12,7 @@ from typing import Literal, TypeAlias, get_args
 
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError
-from sparsefit.study.schema import (
-    INSIDE,
-    NOT_NEGATIVE,
-    POSITIVE,
-    SHARE,
-    Range,
-    Section,
-    key,
-)
+from sparsefit.study.schema import INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, Range, Section, key
 
 MOST_VALUES = 128_000_000  # numbers in a regression problem: a gigabyte
 COUNTED = Range(least=0, most=100_000)

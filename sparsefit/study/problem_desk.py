@@ -111,11 +111,6 @@ class Contender:
         return self.objective, self.solver
 
     @property
-    def problem_of(self) -> str:
-        """Its objective, as canonical JSON."""
-        return canonical_json([self.backend, dict(self.settings)])
-
-    @property
     def content(self) -> str:
         """All its settings, of the back-end and of the solver, as canonical JSON."""
         own = {"solver": self.recipe.name, **self.recipe.settings} if self.recipe else {}
@@ -297,13 +292,14 @@ class JudgeDesk:
         worst = max(c.value if c and c.value == c.value else math.inf for c in proofs)
         if kind != "duality_gap" or None in proofs:
             return {"kind": kind, "gap": worst, "excess": worst}
-        if solved.problem_of not in self._bounds:  # D_ref (p,) of the exact path, -inf of none
+        objective = canonical_json([solved.backend, dict(solved.settings)])
+        if objective not in self._bounds:  # D_ref (p,) of the exact path, -inf of none
             exact = isinstance(backend, PenalisedPath)
             fits = certified_path(problem, backend, fractions).fits if exact else ()
             lower = [f.certificate.dual if f.certificate else -math.inf for f in fits]
-            self._bounds[solved.problem_of] = np.array(lower or [-math.inf] * len(fractions))
+            self._bounds[objective] = np.array(lower or [-math.inf] * len(fractions))
         primal, dual = np.array([(c.primal, c.dual) for c in proofs if c]).T
-        excess = np.maximum(primal - np.maximum(dual, self._bounds[solved.problem_of]), 0.0).max()
+        excess = np.maximum(primal - np.maximum(dual, self._bounds[objective]), 0.0).max()
         null = problem.null_objective or 1.0
         return {"kind": kind, "gap": worst, "excess": float(excess) / null}
 

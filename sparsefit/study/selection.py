@@ -16,19 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparsefit.errors import InputError, one_of, told_with
-from sparsefit.study import measures
+from sparsefit.study import measures, trials
 from sparsefit.study.entries import factor_words
 from sparsefit.study.measures import ROUNDING, factors
 from sparsefit.study.table import listed, significant
-from sparsefit.study.trials import (
-    LIMITS,
-    Criterion,
-    Difference,
-    Trials,
-    limit_text,
-    regimes_of,
-    unit_of,
-)
+from sparsefit.study.trials import Criterion, Difference, Trials, regimes_of, unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -268,8 +260,8 @@ def lines(selection: Selection, check: Selection | None = None) -> Iterator[str]
         yield f"Score: {scored(chosen.evaluate, chosen.between)} on {units[-1]}{fresh}."
     yield f"Rule: {criterion.words}; the simplest within {100 * rule.margin:g} % of the best."
     limits = [
-        f"{LIMITS[name][0]} at most {limit_text(name, limit)}"
-        for name in LIMITS if (limit := getattr(rule, name)) is not None
+        f"{trials.LIMITS[name][0]} at most {trials.limit_text(name, limit)}"
+        for name in trials.LIMITS if (limit := getattr(rule, name)) is not None
     ]  # fmt: skip
     keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
     where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
