@@ -10,7 +10,6 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, TypeAlias
 
 Value: TypeAlias = str | float | int | bool
@@ -56,15 +55,10 @@ class Column:
     kind: Kind
     path: str = ""
 
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """The names on the path."""
-        return tuple(self.path.split("."))
-
     def read(self, case: object) -> Value | None:
         """The value of a case; None where there is nothing on the way."""
         value: Any = case
-        for name in self.names:
+        for name in self.path.split("."):
             if value is None:
                 return None
             if isinstance(value, dict):
@@ -177,9 +171,3 @@ PROBLEM_COLUMNS = _columns(
 def kinds_of(columns: Sequence[Column]) -> dict[str, Kind]:
     """The kind of each column, by name."""
     return {column.name: column.kind for column in columns}
-
-
-def values_of(case: object) -> dict[str, Value]:
-    """The values that the columns read from a case of flights, by name; those there are."""
-    values = {column.name: column.read(case) for column in FLIGHT_COLUMNS if column.path}
-    return {name: value for name, value in values.items() if value is not None}

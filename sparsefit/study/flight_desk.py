@@ -36,7 +36,7 @@ from sparsefit.onboard import as_flown
 from sparsefit.regression import Fit, RegressionProblem
 from sparsefit.regression.fit import path
 from sparsefit.score import prediction_error, score, score_scales, strongest
-from sparsefit.study.columns import MAX_REASON, PARAMETERS, Value, values_of
+from sparsefit.study.columns import FLIGHT_COLUMNS, MAX_REASON, PARAMETERS, Value
 from sparsefit.study.crossing import ALPHA, Cell
 from sparsefit.study.draw import SIMULATION, Draw, FlightRules, Logged, Logs, stream
 from sparsefit.study.worker import peak_memory
@@ -73,7 +73,8 @@ class Reading:
     @cached_property
     def values(self) -> dict[str, Value]:
         """The values of the columns of `cases.parquet` that have a path, by name."""
-        return values_of(self)
+        values = {column.name: column.read(self) for column in FLIGHT_COLUMNS if column.path}
+        return {name: value for name, value in values.items() if value is not None}
 
     @property
     def hit(self) -> bool:

@@ -25,7 +25,7 @@ from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import asked, grouped, is_predicted, script_of
 from sparsefit.study.figures import Picture
-from sparsefit.study.measures import Measure, in_flow, measure
+from sparsefit.study.measures import in_flow, measure
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files, write_whole
@@ -132,9 +132,13 @@ def check_outputs(study: Any) -> None:
 
 def headline(study: Any, cases: pd.DataFrame) -> str:
     """Return the summary sentence of a study: the best and the worst candidate by its measure."""
-    outputs, each = study.definition.outputs, _first_measure(study, cases)
-    if each is None:
+    outputs = study.definition.outputs
+    default = "timescale-error" if in_flow(cases).any() else "called-ok"
+    if study.kind == "problems":
+        default = "holdout-error" if is_predicted(cases) else ""
+    if not (name := outputs.headline or default):
         return solver_times.headline(cases)
+    each = measure(name)
     values, column = each.values(cases), tables.column_of(each)
     every = {str(title): each.summary_of(values[at]) for (title,), at in grouped(cases, ["title"])}
     scores = {title: value for title, value in every.items() if not math.isnan(value)}
@@ -157,16 +161,6 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     if printed is not None:
         failing += f"; {outputs.reference.name}: {text(printed)}"
     return sentence(f"{each.phrase}, {where}: {' to '.join(said)}{failing}")
-
-
-def _first_measure(study: Any, cases: pd.DataFrame) -> Measure | None:
-    """Return the measure of the headline, or None for times of solvers."""
-    if study.kind == "problems":
-        default = "holdout-error" if is_predicted(cases) else ""
-    else:
-        default = "timescale-error" if in_flow(cases).any() else "called-ok"
-    name = study.definition.outputs.headline or default
-    return measure(name) if name else None
 
 
 def progress(study: Any, cases: pd.DataFrame) -> str:
