@@ -266,10 +266,13 @@ def figures(
             if entry.compare == "ecdf" and not entry.title:
                 shown = "Distribution functions of all planned cases, failures included"
             said = [shown, *entry.notes]
-            if entry.limits:
-                limits = listed([f"{limit:g}" for limit in sorted(entry.limits)], "and")
+            axis = "x" if entry.compare == "ecdf" else "y"
+            ends = [getattr(axes, f"get_{axis}lim")() for axes in drawing.axes]
+            limits = [own for own in sorted(entry.limits) if any(a <= own <= b for a, b in ends)]
+            if limits:
                 units = {each.unit for each in entry.measures}
-                said.append(f"Dashed: {limits} {units.pop() if len(units) == 1 else ''}".rstrip())
+                words = listed([f"{limit:g}" for limit in limits], "and")
+                said.append(f"Dashed: {words} {units.pop() if len(units) == 1 else ''}".rstrip())
             if any(axes.collections for axes in drawing.axes):
                 said.append("Bars: 95 % Wilson intervals")
             caption = " ".join(map(sentence, said))
