@@ -33,6 +33,7 @@ class TestPage:
         text = files["README.md"].read_text()
         assert "![scatter](scatter.svg)" in text
         assert "20 of 20 planned cases: 20 ok" in text
+        assert "Dashed" not in text  # errors are below 5 %
 
     def test_the_page_is_one_file_that_fetches_and_runs_nothing_of_others(self, files):
         text = files["report.html"].read_text()
@@ -49,7 +50,7 @@ class TestPage:
         assert len(set(clips)) == len(clips)
 
     def test_a_readme_is_short_whatever_the_study(self, tmp_path):
-        many = frame(*(case(n % 2, label=f"setting {n // 2}") for n in range(200)))
+        many = frame(*(case(n % 2, (0.0, 0.1 * n), label=f"setting {n // 2}") for n in range(200)))
         made = study(many, tmp=tmp_path, figures=("errors",))
         text = page.write(made)[-1].read_text()
         assert len(text.split()) <= 800
