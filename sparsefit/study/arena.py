@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -32,9 +32,6 @@ from sparsefit.study.data_sets import Data
 from sparsefit.study.keys import Clock
 from sparsefit.study.problem_desk import Contender, fractions_of, small_problem, write_data
 from sparsefit.study.worker import Answer, Crew, NoAnswerError, Worker, disturbed
-
-if TYPE_CHECKING:
-    from sparsefit.study.problem_experiment import ProblemExperiment
 
 JUDGE = "judge"
 FOLDS = 5  # blocks of neighbouring rows that are held out in turn
@@ -136,7 +133,7 @@ class Arena:
     again; first: the times [s] of first calls; unit, data, file: the current problem.
     """
 
-    plan: ProblemExperiment
+    plan: Any  # the experiment with problems, which makes the arena
     crew: Crew
     met: dict[Worker, set[tuple[tuple[str, str], bool]]] = field(default_factory=dict)
     overhead: dict[Worker, float] = field(default_factory=dict)

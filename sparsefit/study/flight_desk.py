@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -40,9 +40,6 @@ from sparsefit.study.columns import FLIGHT_COLUMNS, MAX_REASON, PARAMETERS, Valu
 from sparsefit.study.crossing import ALPHA, Cell
 from sparsefit.study.draw import SIMULATION, Draw, FlightRules, Logged, Logs, stream
 from sparsefit.study.worker import peak_memory
-
-if TYPE_CHECKING:
-    from sparsefit.study.flight_experiment import FlightExperiment
 
 
 @dataclass(frozen=True)
@@ -144,7 +141,7 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     return dict(zip(("mean_velocity", "length_scale", "timescale"), errors, strict=True))
 
 
-def estimator_of(plan: FlightExperiment, cell: Cell) -> Estimator:
+def estimator_of(plan: Any, cell: Cell) -> Estimator:
     """The estimator of a cell: derivative, library, back-end and readout, the study's tolerance."""
     estimator = Estimator(
         derivative=cell.setup.derivative,
@@ -156,7 +153,7 @@ def estimator_of(plan: FlightExperiment, cell: Cell) -> Estimator:
     return as_flown(estimator) if plan.on_board else estimator
 
 
-def fly(plan: FlightExperiment, unit: int, rules: FlightRules | Logs) -> Flown:
+def fly(plan: Any, unit: int, rules: FlightRules | Logs) -> Flown:
     """Simulate the flights that the cells of one condition share, or read them from a log."""
     draw = rules.draw(unit, plan.count, plan.definition.seed)
     seed = stream(plan.definition.seed, unit, SIMULATION)
@@ -190,7 +187,7 @@ class FlightDesk:
     replaces a lost one computes them again.
     """
 
-    def __init__(self, plan: FlightExperiment) -> None:
+    def __init__(self, plan: Any) -> None:
         self._plan, self._cells = plan, plan.points
         self._estimators: dict[int, Estimator] = {}
         self._flown: tuple[Any, Any] = (None, None)  # which, and the flights

@@ -113,12 +113,12 @@ class Study:
     def __repr__(self) -> str:
         return f"Study {self.name} of {self.kind}: {self.planned.size} cases, in {self.folder}"
 
-    definition = property(lambda self: self.planned.definition)
-    name = property(lambda self: self.definition.name)
-    question = property(lambda self: self.definition.question)
-    seed = property(lambda self: self.definition.seed)
-    path = property(lambda self: self.planned.path)
-    kind = property(lambda self: self.planned.kind)
+    definition = property(lambda self: self.planned.definition, doc="The study file, checked.")
+    name = property(lambda self: self.definition.name, doc="The name of the study.")
+    question = property(lambda self: self.definition.question, doc="The question that it answers.")
+    seed = property(lambda self: self.definition.seed, doc="The seed of all random numbers.")
+    path = property(lambda self: self.planned.path, doc="The study file's path.")
+    kind = property(lambda self: self.planned.kind, doc="`flights` or `problems`.")
 
     @property
     def flights(self) -> FlightExperiment:
