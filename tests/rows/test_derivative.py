@@ -9,7 +9,7 @@ from sparsefit.errors import InputError
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.rows import METHODS, Derivative, Smoothing
+from sparsefit.rows import Derivative, Smoothing
 from sparsefit.rows.clean import LogPieces
 from sparsefit.rows.derivative import weak_form
 from tests.problems import VEHICLE, fly, part
@@ -65,14 +65,6 @@ def test_forward_is_equation_15():
     np.testing.assert_array_equal(samples.position, flight.position[:-1])
     by_hand = (flight.velocity[3] - flight.velocity[2]) / (UNEVEN[3] - UNEVEN[2])
     np.testing.assert_array_equal(samples.acceleration[2], by_hand)
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_columns_share_their_rows_and_dropped_samples(method):
-    samples = Derivative(method)(waves(np.linspace(0.0, 1.0, 11)))
-    count = {"central": 9, "savgol": 7}.get(method, 10)
-    for name in ("position", "velocity", "position_rate", "acceleration"):
-        assert getattr(samples, name).shape == (count, 2)
 
 
 def test_savgol_refuses_uneven_steps_and_short_flights_by_name():
