@@ -86,12 +86,12 @@ def body_of(values: Mapping[str, Value | None]) -> str:
 
 
 def _columns(*rows: tuple[Kind, str] | tuple[Kind, str, str]) -> tuple[Column, ...]:
-    """Columns of rows (kind, names, path); `*` stands for each of the three parameters."""
+    """Columns of rows (kind, names, path); `*`: each of the three parameters; `{}`: the name."""
     return tuple(
-        Column(name.replace("*", parameter), kind, path[0].replace("*", parameter) if path else "")
+        Column(name.replace("*", each), kind, "".join(path).replace("*", each).format(name))
         for kind, names, *path in rows
         for name in names.split()
-        for parameter in (PARAMETERS if "*" in name else ("",))
+        for each in (PARAMETERS if "*" in name else ("",))
     )
 
 
@@ -106,17 +106,11 @@ FLIGHT_COLUMNS = _columns(
     (TEXT, "certificate_kind", "estimate.certificate.kind"),
     (SINGLE, "certificate", "estimate.certificate.value"),
     (SINGLE, "seconds", "fit.seconds"),
-    (WHOLE, "samples", "problem.samples"),
-    (WHOLE, "columns", "problem.columns"),
-    (LEVEL, "scales_true", "scale_sets.score.true"),
-    (LEVEL, "scales_detected", "scale_sets.score.detected"),
-    (LEVEL, "scales_missed", "scale_sets.score.missed"),
-    (LEVEL, "scales_spurious", "scale_sets.score.spurious"),
-    (LEVEL, "scales_max_length_scale_error", "scale_sets.score.max_length_scale_error"),
-    (LEVEL, "scales_max_mean_velocity_error", "scale_sets.score.max_mean_velocity_error"),
-    (LEVEL, "scales_within_1_percent", "scale_sets.within_1_percent"),
-    (TEXT, "true_scales", "scale_sets.true"),
-    (TEXT, "est_scales", "scale_sets.estimated"),
+    (WHOLE, "samples columns", "problem.{}"),
+    (LEVEL, "scales_true scales_detected scales_missed scales_spurious", "scale_sets.{}"),
+    (LEVEL, "scales_max_length_scale_error scales_max_mean_velocity_error", "scale_sets.{}"),
+    (LEVEL, "scales_within_1_percent", "scale_sets.{}"),
+    (TEXT, "true_scales est_scales", "scale_sets.{}"),
     (TEXT, "flow"),
     (SINGLE, "extent", "flown.extent"),
     (SINGLE, "se_*", "estimate.uncertainty.*"),
@@ -133,11 +127,9 @@ FLIGHT_COLUMNS = _columns(
     (WHOLE, "outliers", "estimate.repairs.outliers"),
     (SINGLE, "wander", "estimate.position_wander"),
     (TEXT, "repairs", "estimate.repairs.words"),
-    (SINGLE, "r_squared", "estimate.goodness.r_squared"),
-    (SINGLE, "whiteness", "estimate.goodness.whiteness"),
+    (SINGLE, "r_squared whiteness", "estimate.goodness.{}"),
     (SINGLE, "turbulence_ratio", "estimate.goodness.likelihood_ratio"),
-    (SINGLE, "turbulence", "estimate.goodness.turbulence"),
-    (SINGLE, "turbulence_share", "estimate.goodness.turbulence_share"),
+    (SINGLE, "turbulence turbulence_share", "estimate.goodness.{}"),
     (TEXT, "cause", "estimate.goodness.suspect.cause"),
     (TEXT, "log"),
     (SINGLE, "est_length_scale_x", "estimate.length_scales.0"),

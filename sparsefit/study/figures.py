@@ -235,18 +235,6 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Figure | None]] = {
 }
 
 
-def figure(study: Any, entry: str | Options) -> Figure:
-    """Return the figure that an entry asks for, of the cases of a study.
-
-    Raises:
-        InputError: for an unknown name, or if no case has data for the figure.
-    """
-    (picture,) = figures(study, study.cases, [entry]).values()
-    if picture.figure is None:
-        raise InputError(f"{study.name}: {picture.caption}")
-    return picture.figure
-
-
 def figures(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Picture]:

@@ -81,7 +81,7 @@ class Reading:
 
     @cached_property
     def scale_sets(self) -> dict[str, Any]:
-        """The estimated scales compared with the true ones; empty of one scale estimated as one.
+        """Columns of estimated scales beside the true ones; empty of one scale estimated as one.
 
         Each is listed as JSON, [[L [m], U0 [m/s]], ...], to seven digits. A readout of one scale on
         superposed flows counts as the set of that scale.
@@ -92,9 +92,10 @@ class Reading:
         scales: Any = estimate.scales
         if not scales and math.isfinite(estimate.length_scale + estimate.mean_velocity):
             scales = (estimate,)
-        result: dict[str, Any] = {"score": score_scales(scales, flow)}
-        result["within_1_percent"] = result["score"].within(1.0)
-        for name, listed in (("true", flow.cells), ("estimated", scales)):
+        scored = score_scales(scales, flow)
+        result: dict[str, Any] = {f"scales_{name}": value for name, value in vars(scored).items()}
+        result["scales_within_1_percent"] = scored.within(1.0)
+        for name, listed in (("true_scales", flow.cells), ("est_scales", scales)):
             pairs = [(scale.length_scale, scale.mean_velocity) for scale in listed]
             rounded = [[float(f"{value:.7g}") for value in pair] for pair in pairs]
             result[name] = json.dumps(rounded, separators=(",", ":"))

@@ -353,7 +353,9 @@ class Study:
         Raises:
             InputError: for a name, an option or a measure that is unknown, with the nearest.
         """
-        return import_module("sparsefit.study.tables").table(self, entry)
+        tables = import_module("sparsefit.study.tables").tables
+        (made,) = tables(self, self.cases, [entry]).values()
+        return made
 
     def figure(self, entry: str | Mapping[str, object]) -> Any:
         """The matplotlib figure of the cases that a name, or options, of [outputs] ask for.
@@ -361,4 +363,8 @@ class Study:
         Raises:
             InputError: for a name, an option or a measure that is unknown, or if nothing is drawn.
         """
-        return import_module("sparsefit.study.figures").figure(self, entry)
+        figures = import_module("sparsefit.study.figures").figures
+        (picture,) = figures(self, self.cases, [entry]).values()
+        if picture.figure is None:
+            raise InputError(f"{self.name}: {picture.caption}")
+        return picture.figure

@@ -205,16 +205,6 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Table]] = {
 }
 
 
-def table(study: Any, entry: str | Options) -> Table:
-    """Return the table that an entry asks for, of the cases of a study.
-
-    Raises:
-        InputError: for an unknown name, or one of the other kind of study.
-    """
-    (made,) = tables(study, study.cases, [entry]).values()
-    return made
-
-
 def tables(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Table]:

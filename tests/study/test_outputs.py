@@ -21,7 +21,7 @@ STUDIES = Path(__file__).parents[2] / "studies"
 
 
 def made(entry, cases, **outputs):
-    return tables.table(study(cases, **outputs), entry)
+    return sf.Study.table(study(cases, **outputs), entry)
 
 
 def column(table, name):
@@ -143,7 +143,7 @@ def _helper(cases):
                                                  ("_helper", "unknown table")])  # fmt: skip
     def test_what_fails_names_the_function(self, tmp_path, name, words):
         with pytest.raises(InputError, match=words):
-            tables.table(self.of(tmp_path), name)
+            sf.Study.table(self.of(tmp_path), name)
 
 
 class TestText:
@@ -203,7 +203,7 @@ class TestText:
 
 
 def drawn(entry, cases, **outputs):
-    return figures.figure(study(cases, **outputs), entry)
+    return sf.Study.figure(study(cases, **outputs), entry)
 
 
 def legend_of(figure):
