@@ -236,7 +236,12 @@ class SolverDesk:
         problem = problem_of(part, partial=without is not None)
         self._work = (self._contenders[contender], problem, self._fractions)
         self._into = np.memmap(weights, float, "r+", shape=shape)
-        memory = _peak_from_here()
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).malloc_trim(0)
+        memory = None
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # peaks are from here
+            memory = peak_memory()
         gc.collect()
         gc.disable()
         return {"memory": memory}
@@ -302,14 +307,3 @@ class JudgeDesk:
         excess = np.maximum(primal - np.maximum(dual, self._bounds[objective]), 0.0).max()
         null = problem.null_objective or 1.0
         return {"kind": kind, "gap": worst, "excess": float(excess) / null}
-
-
-def _peak_from_here() -> float | None:
-    """Reset the peak memory; the resident memory [MB] now, None without /proc."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
-    with suppress(OSError):
-        with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
-            file.write("5")
-        return peak_memory()
-    return None

@@ -212,19 +212,19 @@ class Trials:
         A candidate that violates another constraint need not be timed.
         """
         cases, flown = self.cases, measures.in_flow(self.cases)
-        silent = error = np.zeros(len(cases))
-        if "est_mean_velocity" in cases:
-            silent = measures.MEASURES["silent-misses"].read(cases)
-            error = measures.MEASURES["largest-error"].read(cases)
 
         def by_regime(values: Array) -> Array:
             return pooled_regimes(self.grid(values))
 
-        largest = measures.quantile(by_regime(error), 0.95)
+        silent, error = (
+            by_regime(measures.MEASURES[name].read(cases))
+            for name in ("silent-misses", "largest-error")
+        )
+        largest = measures.quantile(error, 0.95)
         is_flown = (by_regime(flown.astype(float)) > 0).any(axis=-1)
         values = {
             "max_failure": mean(by_regime(measures.only(flown, ~measures.answered(cases)))),
-            "max_silent_misses": mean(by_regime(silent)),
+            "max_silent_misses": mean(silent),
             "max_error": np.where(np.isnan(largest) & is_flown, np.inf, largest),
         }
         for name, column in TIMED.items():
