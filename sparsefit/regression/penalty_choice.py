@@ -139,6 +139,7 @@ def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
     reach = backend.penalty(problem).loss.bound(problem.target)
     reach = np.broadcast_to(reach, problem.target.shape)
     errors = np.empty((FOLDS, len(FRACTIONS)))
+    whole = problem.target if problem.raw_target is None else problem.raw_target
     missing = np.full((problem.columns, problem.targets), np.nan)
     for i, fold in enumerate(folds):
         part = problem.part(np.concatenate(folds[:i] + folds[i + 1 :]))
@@ -147,9 +148,7 @@ def held_out_errors(problem: RegressionProblem, backend: PathBackend) -> Array:
         loss = backend.penalty(part).loss
         rows, levels = problem.theta[fold], [part.intercept_of(each, loss) for each in path]
         fitted = np.stack([rows @ each for each in path]) + np.stack(levels)[:, None, :]
-        misfit = (problem.target if problem.raw_target is None else problem.raw_target)[
-            fold
-        ] - fitted
+        misfit = whole[fold] - fitted
         if problem.design.weights is not None:
             misfit *= problem.design.weights[fold, None]
         pull = np.clip(misfit, -reach[fold], reach[fold])

@@ -211,14 +211,9 @@ class Cvxpy:
         """
         import cvxpy
 
-        unit, weights = (
-            float(alphas[0]),
-            np.full((len(alphas), penalty.columns, target.shape[1]), np.nan),
-        )
-        variable, fraction = (
-            cvxpy.Variable(weights.shape[1:]),
-            cvxpy.Parameter(nonneg=True, value=1.0),
-        )
+        unit, shape = float(alphas[0]), (penalty.columns, target.shape[1])
+        weights, variable = np.full((len(alphas), *shape), np.nan), cvxpy.Variable(shape)
+        fraction = cvxpy.Parameter(nonneg=True, value=1.0)
         matrix = design.columns(np.arange(penalty.columns))
         objective = _loss(penalty.loss, matrix, target / unit, variable, design.samples)
         if not math.isclose(unit, 1.0):  # bounds and knots are in units of V, not of V / unit

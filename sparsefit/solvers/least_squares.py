@@ -130,97 +130,81 @@ class STLSQ(Checked):
         self, problem: RegressionProblem, support: BoolArray
     ) -> tuple[Array, BoolArray]:
         """Ridge fits V (k, n) on a support (k, n) where they reach the threshold, and where."""
-        from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # an estimator loads without it
-
-        values = np.zeros(support.shape)
         ridge, limit, unit = self._rule(problem)
-        alike: dict[bytes, list[int]] = {}  # targets that share a support share a factor
-        for t in range(problem.targets):
-            alike.setdefault(support[:, t].tobytes(), []).append(t)
-        for targets in map(np.array, alike.values()):
-            on = np.flatnonzero(support[:, targets[0]])
-            if not len(on):
-                continue
-            size = float(len(on) + ridge[on].sum())
-            floor = len(on) * np.finfo(float).eps
-            # The ridge bounds |inverse|_1 by sqrt(n) / ridge; only where that is too little,
-            # estimate.
-            safe = ridge[on].min() > 2.0 * floor * size * np.sqrt(len(on))
-            design, right = problem.design, problem.target[:, targets]
-            if _is_iterated(problem, len(on)):
-                values[np.ix_(on, targets)] = _by_gradients(problem, on, targets, ridge[on])
-                continue
-            if not safe and len(on) > max(FEW, len(right)):
-                words = (
-                    f"stlsq: a ridge of {self.ridge:g} is lost to rounding beside {len(on)} columns"
-                )
-                raise InputError(f"{words} of {len(right)} samples: raise it, or use lasso")
-            if safe and len(on) > len(right) and design.in_memory:
-                columns = design.columns(on)  # D^-1 Z'(Z D^-1 Z'/m + I)^-1 Y/m of Z (m, k)
-                square = (columns / ridge[on]) @ columns.T / problem.samples
-                square.flat[:: len(square) + 1] += 1.0
-                factor = dpotrf(square.T, lower=1, overwrite_a=1)[0]
-                pull = columns.T @ dpotrs(factor, right / problem.samples, lower=1)[0]
-                values[np.ix_(on, targets)] = pull / ridge[on, None]
-                continue
-            block = _products(problem, on)
-            block.flat[:: len(on) + 1] += ridge[on]
-            factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
-            if failed == 0 and (safe or dpocon(factor, size, uplo="L")[0] > floor):
-                solution = dpotrs(factor, problem.cross[np.ix_(on, targets)], lower=1)[0]
-            else:  # a ridge that rounds away in Z'Z still counts beside Z: by the rows
-                lift = unit[on] * np.sqrt(ridge[on] * problem.samples)
-                columns = np.vstack([problem.design.columns(on) * unit[on], np.diag(lift)])
-                rows = problem.target[:, targets]
-                rows = np.vstack([rows, np.zeros((len(on), rows.shape[1]))])
-                solution = np.linalg.lstsq(columns, rows, rcond=None)[0] * unit[on, None]
-            values[np.ix_(on, targets)] = solution
+        values = _fits(problem, support, unit, ridge)
         large = (np.abs(values) >= limit) & support
         return np.where(large, values, 0.0), large
 
     def _unscaled(self, problem: RegressionProblem, values: Array, support: BoolArray) -> Array:
-        """Weights in the units of theta: of the ridge fits, or least squares on their support.
-
-        Singular values below 1e-6 of the largest count as zero, as scikit-learn's
-        LinearRegression (which PySINDy calls) has them.
-        """
-        from scipy.linalg.lapack import dpocon, dpotrf, dpotrs
-
-        design, (*_, unit) = problem.design, self._rule(problem)
-        if not self.unbias:
-            return values / design.rms[:, None]
-        weights = np.zeros(support.shape)
-        for t in np.flatnonzero(support.any(axis=0)):
-            on = np.flatnonzero(support[:, t])
-            if _is_iterated(problem, len(on)):
-                value = _by_gradients(problem, on, np.array([t]), np.zeros(len(on)))[:, 0]
-                weights[on, t] = value / design.rms[on]
-                continue
-            columns, target = design.columns(on), problem.target[:, t]
-            factor, failed = None, len(on) > problem.samples
-            if not failed:
-                factor, failed = dpotrf(_products(problem, on), lower=1)
-            if failed or dpocon(factor, 1.0 * len(on), uplo="L")[0] < 1e-10:
-                # refined normal equations would lose digits that QR keeps
-                least = np.linalg.lstsq(columns * unit[on], target, rcond=1e-6)[0]
-                value = least * unit[on]
-            else:
-                value = dpotrs(factor, problem.cross[on, t], lower=1)[0]
-                for _ in range(2):  # corrected semi-normal equations: as accurate as QR here
-                    gradient = columns.T @ (target - columns @ value) / problem.samples
-                    value = value + dpotrs(factor, gradient, lower=1)[0]
-            weights[on, t] = value / design.rms[on]
-        return weights
+        """Weights in the units of theta: of the ridge fits, or least squares on their support."""
+        if self.unbias:
+            values = _fits(problem, support, self._rule(problem)[2])
+        return values / problem.design.rms[:, None]
 
 
-def _is_iterated(problem: RegressionProblem, count: int) -> bool:
-    """Whether Z'Z of so many columns would be larger than the columns, which are in no array."""
-    design = problem.design
-    return (
-        count > FEW
-        and not design.in_memory
-        and (design.kind == "sparse" or count > problem.samples)
-    )
+def _fits(problem: RegressionProblem, support: BoolArray, unit: Array, ridge: Any = None) -> Array:
+    """`_solved` (k, n) on each target's support (k, n), unit and ridge (k,)."""
+    values, alike = np.zeros(support.shape), dict[bytes, list[int]]()
+    for t in np.flatnonzero(support.any(axis=0)).tolist():
+        alike.setdefault(support[:, t].tobytes(), []).append(t)  # who share it share a factor
+    for targets in map(np.array, alike.values()):
+        on = np.flatnonzero(support[:, targets[0]])
+        own = None if ridge is None else ridge[on]
+        values[np.ix_(on, targets)] = _solved(problem, on, targets, unit[on], own)
+    return values
+
+
+def _solved(
+    problem: RegressionProblem, on: IntArray, targets: IntArray, unit: Array, ridge: Any = None
+) -> Array:
+    """argmin over V (j, t) of |Y - Z_J V|^2/m + V'DV, D = diag(ridge), ridge (j,).
+
+    unit (j,): of the columns, in which V is of least norm where it is not unique. Without a ridge,
+    singular values below 1e-6 of the largest count as zero, as scikit-learn's LinearRegression
+    (which PySINDy calls) has them. Raises InputError where a ridge is lost to rounding beside
+    thousands of columns.
+    """
+    from scipy.linalg.lapack import dpocon, dpotrf, dpotrs  # an estimator loads without it
+
+    design, right, count = problem.design, problem.target[:, targets], len(on)
+    is_plain = ridge is None
+    ridge = np.zeros(count) if is_plain else ridge
+    size, is_wide = float(count + ridge.sum()), count > len(right)
+    if count > FEW and not design.in_memory and (design.kind == "sparse" or is_wide):
+        return _by_gradients(problem, on, targets, ridge)  # Z'Z would be larger than the columns
+    floor = 1e-10 if is_plain else count * np.finfo(float).eps
+    # The ridge bounds |inverse|_1 by sqrt(n) / ridge; only where that is too little, estimate.
+    safe = ridge.min() > 2.0 * floor * size * np.sqrt(count)
+    if safe and is_wide and design.in_memory:
+        columns = design.columns(on)  # D^-1 Z'(Z D^-1 Z'/m + I)^-1 Y/m of Z (m, j)
+        square = (columns / ridge) @ columns.T / problem.samples
+        square.flat[:: len(square) + 1] += 1.0
+        factor = dpotrf(square.T, lower=1, overwrite_a=1)[0]
+        pull = columns.T @ dpotrs(factor, right / problem.samples, lower=1)[0]
+        return np.asarray(pull / ridge[:, None])
+    if not (safe or is_plain) and is_wide and count > FEW:
+        words = f"stlsq: its ridge is lost to rounding beside {count} columns"
+        raise InputError(f"{words} of {len(right)} samples: raise it, or use lasso")
+    factor, failed = None, is_wide and not safe
+    if not failed:
+        block = _products(problem, on)
+        block.flat[:: count + 1] += ridge
+        factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
+    if failed or not (safe or dpocon(factor, size, uplo="L")[0] > floor):
+        columns = design.columns(on) * unit
+        if not is_plain:  # a ridge that rounds away in Z'Z still counts beside Z
+            lift = unit * np.sqrt(ridge * problem.samples)
+            columns = np.vstack([columns, np.diag(lift)])
+            right = np.vstack([right, np.zeros((count, len(targets)))])
+        least = np.linalg.lstsq(columns, right, rcond=1e-6 if is_plain else None)[0]
+        return np.asarray(least * unit[:, None])
+    values: Array = dpotrs(factor, problem.cross[np.ix_(on, targets)], lower=1)[0]
+    if is_plain:
+        columns = design.columns(on)
+        for _ in range(2):  # corrected semi-normal equations: as accurate as QR here
+            gradient = columns.T @ (right - columns @ values) / problem.samples
+            values = values + dpotrs(factor, gradient, lower=1)[0]
+    return values
 
 
 def _by_gradients(
