@@ -257,7 +257,10 @@ def _with_working_set(
             size = len(working.index) + len(new)
             if rotations is not None and 3 * size > m:
                 name = "block descent"
-            working = working.extended(new, cross, _by_gram(design, name, size, whole, stays))
+            by_gram = not whole or size <= {"block descent": m // 4, "newton": m}.get(name, size)
+            if name == "cluster descent":  # which moves in sparse columns, too
+                by_gram = not stays or design.csc.nnz >= 2**31
+            working = working.extended(new, cross, by_gram)
         here = alphas[done : done + AHEAD]
         is_rough = not is_settled and name not in ("homotopy", "variational")
         goal = DESCENDED if name == "block descent" else STOP
@@ -274,17 +277,6 @@ def _with_working_set(
         reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
         warm_starts = {at: np.pad(v, wider) for at, v in warm_starts.items() if at <= reached}
     return replace(points, words=f"{name}, {len(working.index)} columns in play")
-
-
-def _by_gram(design: Design, name: str, size: int, whole: bool, stays: bool) -> bool:
-    """Whether a kernel takes Z_J'Z_J of a working set of that size, or else Z_J.
-
-    whole: whether a dense Z_J is stored, of however many columns; stays: whether it is sparse.
-    """
-    if name == "cluster descent":
-        return not stays or design.csc.nnz >= 2**31
-    few = {"block descent": design.shape[0] // 4, "newton": design.shape[0]}
-    return not whole or size <= few.get(name, size)
 
 
 def _violations(

@@ -307,16 +307,25 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     size, sign = size[order], np.sign(values[order, 0])
     first = np.concatenate([[0], np.flatnonzero(size[1:] != size[:-1]) + 1])
     counts, price = np.diff(first, append=len(order)), alpha * on.penalty.weights[: len(order)]
-    right, levels = np.add.reduceat(sign * on.cross[order, 0] - price, first), None
+    right = np.add.reduceat(sign * on.cross[order, 0] - price, first)
     if on.gram is not None:
         square = on.gram.take(order, 0).take(order, 1) * np.multiply.outer(sign, sign)
         square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
         square.flat[:: len(square) + 1] += SHIFT * counts
         levels = definite(square, right)
+        if levels is None:
+            return values, False
     else:
-        levels = _sparse_levels(on, order, sign, first, right, SHIFT * counts, size[first])
-    if levels is None:
-        return values, False
+
+        def times(x: Array) -> Array:
+            whole = np.zeros_like(values)
+            whole[order, 0] = sign * np.repeat(x, counts)
+            image = sign * on.times(whole)[order, 0]
+            return np.asarray(np.add.reduceat(image, first) + SHIFT * counts * x)
+
+        levels, _, is_solved = by_gradients(times, right, size[first])
+        if not is_solved:
+            return values, False
     # Of each cluster above the next smaller one, from the smallest.
     levels = np.stack([size[first], levels])
     levels[:, :-1] -= levels[:, 1:]
@@ -328,21 +337,3 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     out = np.zeros_like(values)
     out[order, 0] = sign * np.repeat(np.cumsum(rise)[::-1], counts)
     return out, share < 1.0
-
-
-def _sparse_levels(
-    on: Columns, order: IntArray, sign: Array, first: IntArray, right: Array, shift: Array, x: Array
-) -> Array | None:
-    """The levels (d,) of clusters of sparse columns by conjugate gradients from x (d,)."""
-    from scipy.sparse import csc_array
-
-    ends = np.append(first, len(order))
-    sums = on.rows[:, order] @ csc_array((sign, np.arange(len(order)), ends))
-    across = sums.T.tocsr()
-
-    def times(x: Array) -> Array:
-        product: Array = across @ on.off(sums @ x) / on.samples + shift * x
-        return product
-
-    levels, _, is_solved = by_gradients(times, right, x)
-    return levels if is_solved else None
