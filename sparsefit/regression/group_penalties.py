@@ -46,9 +46,12 @@ class GroupNorms(Penalty):
 
     def block_norms(self, values: Array) -> Array:
         """Norms |V_g| of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
-        peak = max(float(values.max(initial=0.0)), -float(values.min(initial=0.0))) or 1.0
-        square = values / peak  # as squares of 1e-200 would vanish
-        square *= square
+        with np.errstate(over="ignore"):
+            norms = np.sqrt(folded(np.add, values * values, *self._layout, self.together))
+        if 1e-120 < norms.max(initial=0.0) < np.inf:
+            return np.asarray(norms)
+        peak = float(np.abs(values).max(initial=0.0)) or 1.0  # squares of 1e-200 vanish
+        square = np.square(values / peak)
         return np.asarray(peak * np.sqrt(folded(np.add, square, *self._layout, self.together)))
 
     def norm(self, values: Array) -> Array:

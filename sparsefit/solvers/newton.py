@@ -38,6 +38,7 @@ FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit r
 PATIENCE = 6  # proximal points without a smaller gap
 EXACT, GRADIENTS = 1e-13, 2000  # relative residual, and the most steps of conjugate gradients
 JOINING, MANY = 24, 72  # rows of G that are formed at a time, and after which all are
+CLUSTERS, STEPS = 64, 500  # of which Z_C'Z_C is formed; conjugate gradients at most for more
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
 
 
@@ -173,6 +174,7 @@ def by_gradients(
     start: Array | None = None,
     stop: Array | float | None = None,
     ends: Callable[[Array, float], bool] | None = None,
+    most: int = GRADIENTS,
 ) -> tuple[Array, int, bool]:
     """X (j,) or (j, q) of A X = right by conjugate gradients from ``start``, steps, and success.
 
@@ -184,7 +186,7 @@ def by_gradients(
     rest = right if start is None else right - times(x)
     stop = EXACT * np.abs(right).max(axis=0, initial=0.0) if stop is None else stop
     direction, square = rest, np.sum(rest * rest, axis=0)
-    for count in range(GRADIENTS):
+    for count in range(most):
         size = np.abs(rest).max(axis=0, initial=0.0)
         if np.all(size <= stop) or (ends is not None and ends(x, float(np.max(size)))):
             return x, count, True
@@ -195,7 +197,7 @@ def by_gradients(
         rest = rest - length * image
         before, square = square, np.sum(rest * rest, axis=0)
         direction = rest + square / np.where(before > 0.0, before, np.inf) * direction
-    return x, GRADIENTS, False
+    return x, most, False
 
 
 def solved_by_newton(
@@ -308,24 +310,25 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     first = np.concatenate([[0], np.flatnonzero(size[1:] != size[:-1]) + 1])
     counts, price = np.diff(first, append=len(order)), alpha * on.penalty.weights[: len(order)]
     right = np.add.reduceat(sign * on.cross[order, 0] - price, first)
+    shift, sign = SHIFT * counts[:, None], sign[:, None]
+
+    def times(x: Array) -> Array:
+        """Z_C'Z_C/m x (d, c), and a little more."""
+        whole = np.zeros((len(values), x.shape[1]))
+        whole[order] = sign * np.repeat(x, counts, axis=0)
+        return np.asarray(np.add.reduceat(sign * on.times(whole)[order], first) + shift * x)
+
     if on.gram is not None:
-        square = on.gram.take(order, 0).take(order, 1) * np.multiply.outer(sign, sign)
+        square = on.gram.take(order, 0).take(order, 1) * (sign * sign.T)
         square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
-        square.flat[:: len(square) + 1] += SHIFT * counts
+        square.flat[:: len(square) + 1] += shift[:, 0]
         levels = definite(square, right)
-        if levels is None:
-            return values, False
+    elif len(first) <= CLUSTERS:
+        levels = definite(times(np.eye(len(first))), right)
     else:
-
-        def times(x: Array) -> Array:
-            whole = np.zeros_like(values)
-            whole[order, 0] = sign * np.repeat(x, counts)
-            image = sign * on.times(whole)[order, 0]
-            return np.asarray(np.add.reduceat(image, first) + SHIFT * counts * x)
-
-        levels, _, is_solved = by_gradients(times, right, size[first])
-        if not is_solved:
-            return values, False
+        levels = by_gradients(times, right[:, None], size[first, None], most=STEPS)[0][:, 0]
+    if levels is None:
+        return values, False
     # Of each cluster above the next smaller one, from the smallest.
     levels = np.stack([size[first], levels])
     levels[:, :-1] -= levels[:, 1:]
@@ -335,5 +338,5 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     share = min(float(until.min()), 1.0)
     rise = np.where(until <= share, 0.0, np.maximum(rise + share * (after - rise), 0.0))
     out = np.zeros_like(values)
-    out[order, 0] = sign * np.repeat(np.cumsum(rise)[::-1], counts)
+    out[order, 0] = sign[:, 0] * np.repeat(np.cumsum(rise)[::-1], counts)
     return out, share < 1.0
