@@ -113,7 +113,7 @@ def _checked(args: argparse.Namespace) -> Study:
 def check(args: argparse.Namespace) -> Reply:
     """Check a study file, and count its cases."""
     study = _checked(args)
-    counts = {"kind": study.kind, "cases": study.planned.size, "hash": study.hash}
+    counts = {"kind": study.definition.kind, "cases": study.planned.size, "hash": study.hash}
     return Reply({"study": study.name, "status": "ok", **counts, "missing": study.missing})
 
 

@@ -176,6 +176,7 @@ def test_outliers_are_as_many_and_as_large_as_said():
     off = np.hypot(*(log.velocity - LINE.velocity).T)
     assert np.mean(off > 0) == pytest.approx(0.05, abs=0.01)
     np.testing.assert_allclose(off[off > 0], 5.0, rtol=1e-12)
+    assert np.abs(np.mean((log.velocity - LINE.velocity)[off > 0], axis=0)).max() < 0.6  # all ways
     np.testing.assert_array_equal(log.position, LINE.position)
     np.testing.assert_array_equal(log.time, LINE.time)
 
