@@ -136,7 +136,8 @@ def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) 
         if own[0] in leg.model.names and not cause.wanders:
             pairs = zip(base.get(name, (0.0, 0.0)), own, strict=False)
             value = tuple(b + share * leg.model.values[element] for b, element in pairs)
-            error = tuple(share * posterior.error(element + suffix) for element in own)
+            ending = suffix * (not cause.of_flow)  # which all flights share
+            error = tuple(share * posterior.error(element + ending) for element in own)
             values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
     sure = Uncertainty(absent | Uncertainty.of(values, errors)) if values else None
     causes = {name: values.pop(name) for name in [*values] if name not in known}

@@ -54,6 +54,14 @@ def test_several_flights_know_more_than_the_best_of_them_whatever_their_order(re
     assert [flight.noise for flight in turned.flights] == pytest.approx(noise[::-1])
 
 
+def test_what_flights_share_is_as_sure_in_each():
+    first, second, _ = sf.Estimator(free=("growth", "latency")).estimate(list(FLEET)).flights
+    assert first.causes["growth"] == second.causes["growth"]
+    sure = [own.vehicle_uncertainty for own in (first, second)]
+    assert sure[0].growth == sure[1].growth > 0.0
+    assert sure[0].latency != sure[1].latency
+
+
 def test_a_loud_flight_through_turned_cells_costs_the_quiet_one_nothing():
     flow = sf.flows.ShapedCells(9.0, 3.5, heading=0.4)
     loud = fly(flow, duration=12.0, rate=50.0, seed=60, noise=(0.6, 0.06))
