@@ -57,11 +57,7 @@ def plan_of(document: Section, path: str) -> Plan:
         words = f'"{outputs.script}": no such file beside {Path(path).name}'
         raise place.within("outputs").at("script").error(words)
     words = str((outputs.tables, outputs.figures, outputs.headline))
-    if (
-        heading.kind == "flights"
-        and not file.run.prediction_flights
-        and "prediction-error" in words
-    ):
+    if is_flown and not file.run.prediction_flights and "prediction-error" in words:
         # All its cases would count as failures.
         words = "missing: prediction-error needs other flights to predict along, 2 say"
         raise place.within("run").at("prediction_flights").error(words)
