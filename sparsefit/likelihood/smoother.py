@@ -143,7 +143,7 @@ def climbed(
         hold: the passes before the levels of the instruments move.
         most: passes.
         least: the log-likelihood asked: a search is given up that does not come there in the
-            passes left, at its last rise.
+            passes left, at the larger of its last two rises.
 
     Returns:
         The logs at the optimum with their smoothed passes, the last step, and the reason why the
@@ -188,7 +188,8 @@ def climbed(
             level = len(history) > 6 and max(history[-4:]) - history[-7] < 10.0 * enough
             if not fresh and step.gain < enough and (gains < enough or level):
                 break
-            if len(history) > 3 and history[-1] + left * max(*np.diff(history[-2:]), 0.0) < least:
+            late = history[-3:]
+            if len(history) > 3 and max(late) + left * max(0.0, *np.diff(late)) < least:
                 reason = "another model is likelier"
                 break
         if best is not None:
