@@ -50,21 +50,6 @@ cdef void spread_out(
         add(width, a[i], x, y + i * width)
 
 
-cdef void gather(
-    Py_ssize_t width, Py_ssize_t n, const double* a, const double* x, double* y
-) noexcept nogil:
-    """y += a X, of n numbers a and a matrix X (n, width); n is 4 or more."""
-    cdef double first = a[0], second = a[1], third = a[2], fourth = a[3]
-    cdef Py_ssize_t i
-    for i in range(width):
-        y[i] += (
-            first * x[i] + second * x[i + width] + third * x[i + 2 * width]
-            + fourth * x[i + 3 * width]
-        )
-    for i in range(4, n):
-        add(width, a[i], x + i * width, y)
-
-
 cdef inline double dot(Py_ssize_t n, const double* x, const double* y) noexcept nogil:
     """x'y."""
     cdef Py_ssize_t i
@@ -348,11 +333,13 @@ def forward(
         for j in range(links):
             for k in range(4):
                 fresh[k, target[j]] += slope[j] * step.slope[k][4 + source[j]]
-        for k in range(n):  # F times P, delta and V
+        for k in range(n):
             fresh[k, n] = step.following[k] - track[i + 1, k]
-            if k < 4:
-                gather(width, n, step.slope[k], &rows[0, 0], &fresh[k, 0])
-            else:
+        for k in range(n):  # F times P, delta and V
+            for j in range(4):
+                gain[j] = step.slope[j][k]
+            spread_out(width, 4, gain, &rows[k, 0], &fresh[0, 0])
+            if k >= 4:
                 add(width, step.fading[k - 4], &rows[k, 0], &fresh[k, 0])
         for k in range(n):  # and P times F'
             for j in range(k + 1):

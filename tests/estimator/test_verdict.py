@@ -198,15 +198,17 @@ def test_a_large_latency_is_named_or_freed(late):
         (1.0, 1.944, "time: the velocity may be in knots"),
         (1.0, 2.237, "time: the velocity may be in miles/h"),
         (3.28084, 1.0, "time: the position may be in feet"),
+        (3.28084, 3.28084, "position and velocity may both be in feet"),
         (1e3, 1.0, "moves 1000 times as far as the logged velocity says; check the units"),
         (1.0, -1.0, "they are 200 % of the motion apart; check units, axes and time stamps"),
     ],
 )
-def test_other_units_are_told_from_a_track_that_is_short(position, velocity, words):
-    whole = flown(FLOW, rate=50.0, duration=20.0)
+def test_other_units_are_told(position, velocity, words):
+    whole = flown(sf.CellularFlow(15.43, 3.0), rate=50.0, duration=20.0)
     log = {"position": position * whole.position, "velocity": velocity * whole.velocity}
     found = sf.Estimator().estimate(replace(whole, **log))
-    assert (found.status, words in found.reason) == ("unidentifiable", True), found.reason
+    status = "misfit" if "both" in words else "unidentifiable"
+    assert (found.status, words in found.reason) == (status, True), found.reason
 
 
 def test_a_latency_is_read_from_a_log_where_it_mends_the_way():
