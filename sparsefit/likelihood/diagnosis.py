@@ -37,6 +37,7 @@ ROUNDS = 4  # departures that are freed one after another, at most
 CLEAR = 8.0  # times a second-order gain: a fit that gained more ends the search
 CALMER = 0.5  # the least gain of a cause beside a process, over that of the process
 TUNED = 3.0  # the factor between the rates of a process that are tried
+DEGREES, MOST_PARTS = 5.0, 64  # of freedom of a part with gusts of its own level; of parts
 BESIDE = 0.1  # the share of white process noise that a search keeps beside a new process
 PASSES = 15  # of a search over all rows
 LAST = 60  # passes towards an answer that has not converged
@@ -185,6 +186,7 @@ def diagnose(
             break
         if best.cause is not None and best.cause.wanders:
             there = _tuned(refit, there, best.free)
+            there = _in_bursts(refit, there) if best.free == "turbulence" else there
             wandering += gain_of_it
         rivals += [(there, start, True)] if suspects else []
         if best.suspicious:
@@ -349,6 +351,34 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
     for _ in range(3):
         least = posterior.log_likelihood + 0.5
         there = refit(at(factor), posterior, least)
+        if there is None or there.log_likelihood < least:
+            break
+        posterior = there
+    return posterior
+
+
+def _in_bursts(refit: Refit, posterior: Posterior) -> Posterior:
+    """The posterior with gusts that come and go, where the scores of a log's parts say they do.
+
+    The score of a part by the logarithm of its variance is a - n, of the variance n where all parts
+    have one level. Where they have not, each part's variance is multiplied by a/n, a few times.
+    """
+    for _ in range(ROUNDS):
+        models = list[Model]()
+        for leg, last in [(leg, leg.last) for leg in posterior.legs if leg.last is not None]:
+            gusts = leg.model.disturbance.processes[-1]
+            old = gusts.course or (1.0,)
+            count = max(len(old), min(float(last.squares[-1, 1]) / DEGREES, MOST_PARTS))
+            here = replace(leg, last=None).forward((), block=math.ceil(len(leg.track) / count))
+            a, n = here.backward(np.zeros(0)).parts[:, -1].T + 0.5
+            if gusts.course or chance_of(float(np.sum((a - n) ** 2 / n)), len(n)) < FALSE_ALARM:
+                new = np.linspace(0.0, 1.0, len(n))
+                course = np.interp(new, np.linspace(0.0, 1.0, len(old)), old) * a / n
+                gusts = replace(gusts, course=tuple((course / course.mean()).tolist()))
+            models += with_process([leg.model], gusts)
+        least = posterior.log_likelihood + CHANCE
+        varied = models != list(posterior.models)
+        there = refit(models, posterior, least) if varied else None
         if there is None or there.log_likelihood < least:
             break
         posterior = there

@@ -9,6 +9,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.likelihood.posterior import Posterior
 
+NUDGE = 1e-6  # of a step, to first order
 SEEN = 1e-9  # the least eigenvalue of the scaled information of an observable direction
 
 
@@ -35,7 +36,7 @@ def gains_of(
         Gains by the name of a group and the number, from 1, of the flight that has the elements;
         0 of one flight alone, and of elements that all flights share.
     """
-    local = posterior.model.names
+    local, pattern = posterior.model.names, posterior.model.pattern
     members = dict.fromkeys(own for group in groups.values() for own in group)
     names, score, information = posterior.scores([own for own in members if own not in local])
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -59,19 +60,13 @@ def gains_of(
             own_flight = flight if f"{elements[0]}@2" in names else 0
             moved = -(along[:, added] @ (step * size[added])) / size[base]
             ahead = dict(zip((names[place] for place in base), moved.tolist(), strict=True))
+            values = zip(pattern.names, pattern.values, strict=True)
+            there = tuple(value + NUDGE * ahead.get(name, 0.0) for name, value in values)
+            speed, length = pattern.apart(replace(pattern, values=there))
             gains[group, own_flight] = Gain(
-                float(np.sum(along_axes**2 / roots)), step, error, _moves(posterior, ahead)
+                float(np.sum(along_axes**2 / roots)), step, error, (speed / NUDGE, length / NUDGE)
             )
     return gains
-
-
-def _moves(posterior: Posterior, steps: dict[str, float]) -> tuple[float, float]:
-    """The relative changes of U0 and L by steps of the free parameters, to first order."""
-    pattern, nudge = posterior.model.pattern, 1e-6
-    values = zip(pattern.names, pattern.values, strict=True)
-    moved = tuple(value + nudge * steps.get(name, 0.0) for name, value in values)
-    speed, length = pattern.apart(replace(pattern, values=moved))
-    return speed / nudge, length / nudge
 
 
 def chance_of(gain: float, freedom: int) -> float:

@@ -39,12 +39,14 @@ class Process:
         level: the stationary rms in the elements' unit; of a random walk, per sqrt(s).
         rate: beta [1/s] of u' = -beta u + level sqrt(2 beta) white; 0: a random walk. For a wind,
             the rate at the rms speed: gusts vary along the path (`Model.space`).
+        course: factors of the level's variance at equal parts of the log; none: it is constant.
     """
 
     name: str
     elements: tuple[str, ...]
     level: float
     rate: float = 0.0
+    course: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ class Model:
         """
         disturbance, order = self.disturbance, list(ELEMENTS)
         walkers = [
-            (order.index(name), process.rate, process.level**2, level)
+            (order.index(name), process, process.level**2, level)
             for level, process in enumerate(disturbance.processes, len(LEVELS))
             for name in process.elements
         ]
@@ -186,17 +188,22 @@ class Model:
         kicks[0, 2:4] = disturbance.acceleration**2
         noise[1, :2] = disturbance.position_noise**2
         noise[2, 2:] = disturbance.velocity_noise**2
-        pace = np.ones((0 if track is None else len(track), states))
-        for state, (place, rate, variance, level) in enumerate(walkers, 4):
+        length = 0 if track is None else len(track)
+        pace = np.ones((length, states + len(walkers)))
+        for state, (place, process, variance, level) in enumerate(walkers, 4):
+            rate, course = process.rate, process.course or (1.0,)
+            parts = (np.arange(len(course)) + 0.5) * length / len(course)
+            pace[:, state] = np.interp(np.arange(length) + 0.5, parts, course)
             kicks[level, state] = 2.0 * rate * variance if rate else variance
-            spread[level, state] = variance if rate else 0.0
+            spread[level, state] = course[0] * variance if rate else 0.0
             if track is not None and rate and order[place] in WIND:
                 speeds = self.pattern.speed_through(track[:, 2:4])
                 speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
                 squares = speeds**2 + variance + 1e-300
-                pace[:, state] = np.sqrt(squares / squares.mean())
+                pace[:, state + len(walkers)] = np.sqrt(squares / squares.mean())
+                pace[:, state] *= pace[:, state + len(walkers)]
         places = np.array([walker[0] for walker in walkers], dtype=np.intp)
-        rates = np.array([walker[1] for walker in walkers], dtype=np.float64)
+        rates = np.array([walker[1].rate for walker in walkers], dtype=np.float64)
         return StateSpace(
             self.elements, places, rates, self.jacobian(names), kicks, spread, noise, pace
         )

@@ -175,12 +175,14 @@ class Smoothed:
             standardised innovation e/sqrt(S).
         squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
             their difference is the derivative of the log-likelihood by its logarithm.
+        parts: the share of the kicks in each block of the pass (b, l, 2).
     """
 
     track: Array
     adjoint: Array
     scores: Array
     squares: Array
+    parts: Array
 
 
 def noise_of(values: Array) -> float:

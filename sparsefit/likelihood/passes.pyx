@@ -322,7 +322,7 @@ def forward(
             break
         dt = time[i + 1] - time[i]
         transition(
-            &elements[0], waves, &ids[0], w, moving, &rates[0], &pace[i, 4], time[i], time[0], dt,
+            &elements[0], waves, &ids[0], w, moving, &rates[0], &pace[i, n], time[i], time[0], dt,
             &push[i, 0], &track[i, 0], &full[0], &force, &step,
         )
         for k in range(n):
@@ -401,7 +401,7 @@ def backward(
                         part = dt / 6.0 * slope[k * n + 2 + k] * slope[k * n + 2 + k]
                         sums[2 + k, 0] -= part * r[k] * r[k]
                         sums[2 + k, 1] -= part * cov[k][k]
-                    fade[k] = exp(-rates[k - 4] * pace[i, k] * dt) if k >= 4 else 0.0
+                    fade[k] = exp(-rates[k - 4] * pace[i, k + n - 4] * dt) if k >= 4 else 0.0
                     new[k] = fade[k] * r[k]
                 for k in range(n):  # N F, then F' times it
                     for j in range(n):

@@ -86,7 +86,7 @@ class StateSpace:
         kicks: the variance per second that each level gives to each state (l, n).
         spread: the variance that each level gives to each state at the start (l, n).
         noise: the variance that each level gives to each channel (l, 4): position, velocity.
-        pace: by which rates and kicks of each state are multiplied in the step from a node (m, n).
+        pace: factors of kicks and of rates in the step from a node (m, n + w).
     """
 
     elements: Array
@@ -127,7 +127,7 @@ def following(
     steps = np.diff(time)
     speed = total = np.zeros((4, len(steps)))
     for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
-        fading = np.exp(-share * steps * (space.rates * space.pace[: len(steps), 4:]).T)
+        fading = np.exp(-share * steps * (space.rates * space.pace[: len(steps), len(states) :]).T)
         full = np.repeat(elements[:, None], len(steps), axis=1).astype(states.dtype)
         np.add.at(full, space.walkers, fading * states[4:])
         here = states[:4] + share * steps * speed
@@ -173,7 +173,7 @@ def transitions(
     moved, slopes = derived(
         lambda e, s: following(space, time, push, e, s, start), space, track[:-1].T
     )
-    fading = np.exp(-steps[:, None] * space.rates * space.pace[: len(steps), 4:])
+    fading = np.exp(-steps[:, None] * space.rates * space.pace[: len(steps), n:])
     matrices, inputs = np.zeros((len(steps), n, n)), np.zeros((len(steps), n, space.chain.shape[1]))
     matrices[:, :4], inputs[:, :4] = slopes[:, :, :n], slopes[:, :, n:]
     matrices[:, range(4, n), range(4, n)] = fading
@@ -234,7 +234,7 @@ def forward(
             break
         step, matrix = time[i + 1] - time[i], matrices[i]
         excess = step / 6.0 * matrix[range(2), range(2, 4)] ** 2
-        own = 0.5 * step * space.pace[i]
+        own = 0.5 * step * space.pace[i, :n]
         if last is not None:
             rows[:, c:] += (own * space.kicks * last.adjoint[node, n:]).T
         rows[half] += own * kick
@@ -287,8 +287,8 @@ def backward(
             step = nodes.time[node + 1] - nodes.time[node]
             matrix = np.zeros((n, n))
             matrix[:4] = saved[-4 * n :].reshape(4, n)
-            pace = space.pace[node]
-            matrix[range(4, n), range(4, n)] = np.exp(-space.rates * pace[4:] * step)
+            pace, paces = space.pace[node, :n], space.pace[node, n:]
+            matrix[range(4, n), range(4, n)] = np.exp(-space.rates * paces * step)
             squares = np.column_stack([r**2, np.diag(covariance)])
             sums[:n] += 0.5 * step * pace[:, None] * squares
             sums[2:4] -= step / 6.0 * matrix[range(2), range(2, 4)][:, None] ** 2 * squares[:2]

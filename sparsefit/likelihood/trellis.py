@@ -80,12 +80,13 @@ class Leg:
         """The leg under another model of the same flow; new states are 0."""
         return replace(self, model=model, track=_widened(self.track, model), last=None)
 
-    def forward(self, names: Sequence[str], *, keep: bool = True) -> Pass:
+    def forward(self, names: Sequence[str], *, keep: bool = True, block: int = 0) -> Pass:
         """Filter the log; keep: whether a backward pass follows.
 
-        names: the parameters (p,) by which the score and the information are wanted.
+        names: the parameters (p,) by which the score and the information are wanted; block: of the
+        nodes that are stored at once, 0: `BLOCK`.
         """
-        (m, n), last = self.track.shape, self.last
+        (m, n), last, block = self.track.shape, self.last, block or BLOCK
         space = self.model.space(names, self.track)
         own = n + 1 + len(names)  # columns of P, delta and V
         rows = np.zeros((n, own + (len(space.kicks) if last else 0)))
@@ -95,16 +96,16 @@ class Leg:
         if last is not None:
             rows[:, own:] = (space.spread * last.adjoint[0, :n]).T
         sums, total, starts, stored = np.zeros((len(rows.T) - n,) * 2), 0.0, [], None
-        for first in range(0, m, BLOCK):
+        for first in range(0, m, block):
             starts.append(rows[:, :own].copy())
-            end = min(first + BLOCK, m)
+            end = min(first + block, m)
             if keep and end == m:
                 stored = np.empty((end - first, width(n, len(names))))
             total += passes.forward(
                 space, self.nodes, self.track, first, end, last, rows, sums, stored
             )
         value = -0.5 * (float(sums[0, 0]) + total)
-        return Pass(self, space, value, -sums[1:, 0], sums[1:, 1:], starts, stored)
+        return Pass(self, space, value, -sums[1:, 0], sums[1:, 1:], starts, stored, block)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +120,7 @@ class Pass:
         information: J (p + l, p + l).
         starts: P, delta and V (n, n + 1 + p) at the first node of each block.
         stored: what the backward pass reads of the last block.
+        block: the nodes of one.
     """
 
     leg: Leg
@@ -128,27 +130,30 @@ class Pass:
     information: Array
     starts: list[Array]
     stored: Array | None
+    block: int
 
     def backward(self, change: Array) -> Smoothed:
         """Smooth, with the parameters changed by `change` (p,)."""
         space, nodes, track, stored = self.space, self.leg.nodes, self.leg.track, self.stored
         (m, n), p, levels = track.shape, len(change), len(space.kicks)
-        carried, sums = np.zeros((1 + n, n)), np.zeros((n + 4, 2))
+        carried, sums = np.zeros((1 + n, n)), np.zeros((len(self.starts), n + 4, 2))
         adjoint, scores = np.zeros((m + 1, 2 * n)), np.empty((m, 12))
-        result = Smoothed(track.copy(), adjoint, scores, np.zeros((levels, 2)))
-        for block in range(len(self.starts) - 1, -1, -1):
-            first = block * BLOCK
-            end = min(first + BLOCK, m)
+        squares, parts = np.zeros((levels, 2)), np.zeros((len(sums), levels, 2))
+        result = Smoothed(track.copy(), adjoint, scores, squares, parts)
+        for number in range(len(self.starts) - 1, -1, -1):
+            first = number * self.block
+            end = min(first + self.block, m)
             if stored is None:  # the block once more, without the levels' columns
-                rows, rest = self.starts[block].copy(), np.zeros((1 + p, 1 + p))
+                rows, rest = self.starts[number].copy(), np.zeros((1 + p, 1 + p))
                 stored = np.empty((end - first, width(n, p)))
                 passes.forward(space, nodes, track, first, end, None, rows, rest, stored)
             step = np.append(1.0, change)
-            passes.backward(space, nodes, first, end, step, stored, carried, result, sums)
+            passes.backward(space, nodes, first, end, step, stored, carried, result, sums[number])
             stored = None
         initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
-        squares = space.kicks @ sums[:n] + space.spread @ initial + (space.noise > 0.0) @ sums[n:]
-        result.squares[:] = 0.5 * squares
+        parts += 0.5 * space.kicks @ sums[:, :n]
+        noise = (space.noise > 0.0) @ sums[:, n:].sum(axis=0)
+        squares += parts.sum(axis=0) + 0.5 * (space.spread @ initial + noise)
         return result
 
 

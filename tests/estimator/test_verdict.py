@@ -229,6 +229,13 @@ def test_waves_that_follow_gusts_leave_the_cells_what_they_are():
     assert abs(found.mean_velocity - truth.mean_velocity) < 3 * found.uncertainty.mean_velocity
 
 
+def test_gusts_that_come_and_go_leave_the_calm_between_them():
+    ((flight, truth),) = draw(GROUPS["turbulence30"][4], 1, 95003)
+    found = sf.Estimator(readout=sf.Readout(precision=0.03)).estimate(flight)
+    assert found.status == "ok"  # with one level its half-width is 12 %
+    assert abs(found.mean_velocity - truth.mean_velocity) < 3 * found.uncertainty.mean_velocity
+
+
 def test_causes_beside_which_something_wanders_are_not_believed():
     whole = flown(FLOW, rate=50.0, duration=20.0, seed=5, noise=(0.2, 0.05))
     slow, share = whole.velocity.copy(), 0.02 / (0.1 + 0.02)

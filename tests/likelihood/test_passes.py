@@ -18,7 +18,7 @@ HEIGHTS = [2.0, 1.0], [0.5, -1.5]
 VALUES = (0.4, 1.1, 0.05, 0.3, -0.2, 0.02, 0.4, -0.3, 0.02, 0.03, 0.01, 0.03, 0.0, 0.02)
 SENSORS = (1.02, 0.97, 0.1, -0.2, 0.03, 0.02)
 PROCESSES = (
-    Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5),
+    Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5, (0.3, 1.7)),
     Process("swell", ("gain",), 0.1),
     Process("drift", ("position_bias_x", "position_bias_y"), 0.2, 0.2),
 )
@@ -84,7 +84,8 @@ def test_the_compiled_pass_is_the_plain_one_and_that_of_blocks(levels, way, monk
     pytest.importorskip("sparsefit.likelihood.passes")
     (nodes, track), rng = odd_nodes(), np.random.default_rng(5)
     adjoint, scores = rng.normal(size=(41, 18)), rng.normal(size=(40, 12))
-    last = Smoothed(track, adjoint, scores, np.zeros((6, 2))) if levels else None
+    squares = np.zeros((6, 2)), np.zeros((1, 6, 2))
+    last = Smoothed(track, adjoint, scores, *squares) if levels else None
     compiled = passed(nodes, track, last)
     if way == "plain":
         monkeypatch.setattr(trellis, "passes", reference)

@@ -117,7 +117,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
         maps.append(after)
         offset.append(f @ offset[-1] + following[i] - track[i + 1])
         by_theta.append(f @ by_theta[-1] + slopes[i])
-        variances += halves(space.kicks.sum(axis=0), step, f, space.pace[i])
+        variances += halves(space.kicks.sum(axis=0), step, f, space.pace[i, :n])
     prior = np.diag(np.concatenate(variances))
     h = np.vstack([each[:4] for each in maps])
     noise = np.tile(space.noise.sum(axis=0), m)
@@ -141,7 +141,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     columns = [design]
     for level, name in enumerate(model.disturbance.levels):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
-        steps = zip(np.diff(nodes.time), matrices, space.pace[:-1], strict=True)
+        steps = zip(np.diff(nodes.time), matrices, space.pace[:-1, :n], strict=True)
         kicked += [half for step in steps for half in halves(space.kicks[level], *step)]
         slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
         expected = 0.5 * np.trace(np.linalg.solve(covariance, slope))
@@ -155,7 +155,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
 
 
 def test_gusts_change_with_the_way_through_them_and_other_processes_with_time():
-    gusts = Process("turbulence", ("wind_x", "wind_y"), 3.0, 1.5)
+    gusts = Process("turbulence", ("wind_x", "wind_y"), 3.0, 1.5, (0.5, 1.0, 1.5))
     swell = Process("swell", ("gain",), 0.1, 0.5)
     pattern = StreamPattern("axis", (5.0, 4.0, 0.3, 0.7, 1.0, 0.0), drifting=True)
     model = Model(pattern, {"response_time": TAU}, Disturbance(processes=(gusts, swell)))
@@ -163,9 +163,9 @@ def test_gusts_change_with_the_way_through_them_and_other_processes_with_time():
     track[:, 2] = 1.0, 9.0, 1.0  # beside the drift 0, 8 and 0, in both steps 4 on average
     pace = model.space((), track).pace
     expected = np.array([5.0, 5.0, 3.0]) / np.sqrt(59.0 / 3.0)
-    np.testing.assert_allclose(pace[:, 4:6], expected[:, None].repeat(2, axis=1))
-    assert (pace[:, :4] == 1.0).all()
-    assert (pace[:, 6] == 1.0).all()
+    np.testing.assert_allclose(pace[:, 7:9], expected[:, None].repeat(2, axis=1))
+    np.testing.assert_allclose(pace[:, 4:6], pace[:, 7:9] * [[0.5], [1.0], [1.5]])
+    assert (pace[:, [0, 1, 2, 3, 6, 9]] == 1.0).all()
 
 
 def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
