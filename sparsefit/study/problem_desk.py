@@ -240,7 +240,8 @@ class SolverDesk:
             ctypes.CDLL(None).malloc_trim(0)
         memory = None
         with suppress(OSError):
-            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # peaks are from here
+            with open("/proc/self/clear_refs", "w", encoding="ascii") as peaks:  # are from here
+                peaks.write("5")
             memory = peak_memory()
         gc.collect()
         gc.disable()
