@@ -365,8 +365,9 @@ def _in_bursts(refit: Refit, posterior: Posterior) -> Posterior:
     """
     for _ in range(ROUNDS):
         models = list[Model]()
-        for leg, last in [(leg, leg.last) for leg in posterior.legs if leg.last is not None]:
+        for leg in posterior.legs:
             gusts = leg.model.disturbance.processes[-1]
+            last = leg.last or leg.forward(()).backward(np.zeros(0))  # none at levels just set
             old = gusts.course or (1.0,)
             count = max(len(old), min(float(last.squares[-1, 1]) / DEGREES, MOST_PARTS))
             here = replace(leg, last=None).forward((), block=math.ceil(len(leg.track) / count))
