@@ -118,6 +118,10 @@ def test_the_wrong_law_of_drag_is_named():
     assert "more quadratic" in estimated(linear, "response_time").reason
     other = replace(flown(VEHICLE, **NOISE), vehicle=QUADRATIC)
     assert estimated(other, "drag").status != "ok"
+    cells, drag = sf.CellularFlow(15.0, 7.8), replace(QUADRATIC, drag=0.12)
+    exact = replace(fly(cells, drag, duration=20.0, rate=50.0, seed=5), vehicle=VEHICLE)
+    unknown = sf.Library(unknown=("response_time",))
+    assert "more quadratic" in sf.Estimator(library=unknown).estimate(exact).reason
 
 
 @pytest.mark.parametrize("free", [(), ("drag",)])
