@@ -1,9 +1,8 @@
 """The search for causes of a misfit, each tested by its gain in log-likelihood.
 
-Beside the flow, the state-space model holds the vehicle, the air and the instruments at the values
-that are assumed. At the optimum of the flow one forward pass with a column for every
-element that is known gives the score b and the information J of all; freeing a group g of them
-gains, to second order and with everything that is free already moving along,
+Beside the flow, the state-space model holds the vehicle, the air and the instruments at assumed
+values. At the optimum one forward pass with a column for every known element gives the score b and
+the information J of all; freeing a group g gains, to second order, all that is free moving along,
 
     2 (log L_g - log L) = b_g' (J_gg - J_gf J_ff^-1 J_fg)^-1 b_g  ~  chi^2 of |g| degrees (Rao 1948)
 
