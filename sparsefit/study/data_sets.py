@@ -116,7 +116,7 @@ def _read_arrays(path: Path) -> Data:
         if name in content and content[name].shape[:1] != (count,):
             words = f"{name} is {content[name].shape} beside a theta of {theta.shape}"
             raise InputError(f"{path}: {words}: it needs {count} entries")
-    _check_size(path, sum(array.size for array in content.values()))
+    _check_size(path, theta.size and sum(array.size for array in content.values()))
     # Weights (k,) or (k, n), or which columns are not zero.
     used = None if truth is None else (truth.reshape(len(truth), -1) != 0.0).any(axis=1)
     return Data(theta, content["target"], content.get("groups"), used)
@@ -130,7 +130,7 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
     real = pyarrow.float64()
     with regular_file(path, most=MOST_BYTES) as file, _refused(path):
         if path.suffix.lower() == ".csv":
-            head, lines = file.readline(LONGEST_LINE).decode("utf-8-sig"), 0
+            head, lines = file.readline(LONGEST_LINE).decode("utf-8-sig"), 1
             between = max(",;\t", key=head.count)
             (names,) = reader([head], delimiter=between)
             while block := file.read(LONGEST_LINE):
@@ -156,7 +156,9 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
 
 
 def _check_size(path: Path, values: int) -> None:
-    """Refuse a file of too many numbers."""
+    """Refuse a file of too many numbers, or of none."""
+    if not values:
+        raise InputError(f"{path}: holds no rows: check what wrote it")
     if values > MOST_VALUES:
         words = f"holds {values} numbers, more than {MOST_VALUES}"
         raise InputError(f"{path}: {words}: take fewer samples or columns")
@@ -180,10 +182,15 @@ def read_data(path: Path, target: Sequence[str] = (), like: Data | None = None) 
     names, arrays = _read_table(path)
     if not all(names) or any(name.startswith("__index") for name in names):
         raise InputError(f"{path}: a column has no name: name it, or write with index=False")
+    places = {name: place for place, name in enumerate(names)}
+    for place, name in enumerate(names):
+        if places[name] != place:
+            raise InputError(f'{path}: two columns are called "{name}": rename one')
+    _check_size(path, arrays.size)
     if not target:
         raise InputError(f'{path}: needs target = "COLUMN": the column that is to be predicted')
     for name in target:
-        if name not in names:
+        if name not in places:
             raise InputError(f'{path}: has no column "{name}"{suggestion(name, names)}')
     if not (others := [name for name in names if name not in target]):
         raise InputError(f"{path}: has no column beside the target")
@@ -193,7 +200,7 @@ def read_data(path: Path, target: Sequence[str] = (), like: Data | None = None) 
     for row, column in np.argwhere(~np.isfinite(arrays))[:1]:
         words = "holds no finite number: fill it, or leave the row out"
         raise InputError(f'{path}: column "{names[column]}" of row {row + 1} {words}')
-    theta, held = (arrays[:, [names.index(name) for name in own]] for own in (columns, target))
+    theta, held = (arrays[:, [places[name] for name in own]] for own in (columns, target))
     return Data(theta, held, names=tuple(columns))
 
 

@@ -240,7 +240,8 @@ class SolverDesk:
             ctypes.CDLL(None).malloc_trim(0)
         memory = None
         with suppress(OSError):
-            with open("/proc/self/clear_refs", "w", encoding="ascii") as peaks:  # are from here
+            # The kernel counts the peak from here on.
+            with open("/proc/self/clear_refs", "w", encoding="ascii") as peaks:
                 peaks.write("5")
             memory = peak_memory()
         gc.collect()

@@ -51,6 +51,8 @@ def plan_of(document: Section, path: str) -> Plan:
     place = Place(path)
     heading, _ = taken(Heading, document, place)
     is_flown = heading.kind == "flights"
+    if is_flown and "problems" in document:
+        raise place.at("kind").error('missing: a file with [[problems]] says kind = "problems"')
     file: Any = build(FlightFile if is_flown else ProblemFile, document, place)
     outputs = file.outputs
     if outputs.script and not (Path(path).parent / outputs.script).is_file():
