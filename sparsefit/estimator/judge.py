@@ -10,7 +10,7 @@ import numpy as np
 from sparsefit.estimator.estimate import Doubt, ScaleEstimate, Verdict
 from sparsefit.estimator.measure import Measured
 from sparsefit.estimator.prepare import EVIDENT, RESOLVED, Prepared, apart, ways_of
-from sparsefit.likelihood.causes import FREEDOMS, Suspect, two_digits
+from sparsefit.likelihood.causes import FREEDOMS, Suspect, two_digits, unit_of
 from sparsefit.likelihood.diagnosis import usable
 from sparsefit.model.grid import extent_of
 
@@ -33,12 +33,6 @@ UNITS = {  # by the displacement of positions over that of velocities
     0.01: "the velocity may be in cm/s",
     0.001: "the position may be in km, or the time in ms",
 }
-LOADS = {  # by the thrust that explains a flight over that which is given
-    3.2808: "; position and velocity may both be in feet",
-    1.0 / 3.2808: "; the thrust may be in feet/s^2",
-    9.80665: "; the thrust may be in g",
-}
-SAME_UNIT = 0.03  # the largest relative distance of a ratio from that of a unit
 
 
 def unidentifiable(doubt: Doubt, words: str) -> Verdict:
@@ -162,12 +156,12 @@ def doubts_of_flow(
         )
     period = 2 * best.length_scale
     if not extent < period:  # a shorter track determines no misfit
-        units = [own for own in result.diagnosis.suspects if _load(prepared, own)]
+        units = [own for own in result.diagnosis.suspects if _unit(prepared, own)]
         if (suspects := [*result.suspects, *units]) and free != "auto":
             first = suspects[0]
             where = f" of flight {first.flight}" if first.flight else ""
             remedy = f"; {first.remedy}" if first.free else ""
-            yield misfit(f"{MORE}{where}: {first.words}{remedy}{_load(prepared, first)}")
+            yield misfit(f"{MORE}{where}: {first.words}{remedy}{_unit(prepared, first)}")
         wanders = [own.name for own in posterior.model.disturbance.processes]
         if free == "auto" and wanders:
             asked = prepared.library.unknown
@@ -253,27 +247,15 @@ def _too_late(where: str, latency: float) -> Verdict:
     return misfit(f"{where}{late.words}; shift its times, or {late.remedy}")
 
 
-def _load(prepared: Prepared, suspect: Suspect) -> str:
-    """The words for a thrust, or a wind along it, that is off by the ratio of two units."""
+def _unit(prepared: Prepared, suspect: Suspect) -> str:
+    """The words for a suspect that is off by the ratio of two units."""
     tau, *_, x, y, _ = prepared.vehicles[max(suspect.flight, 1) - 1].parameters
-    ratio = 0.0
-    if suspect.free == "thrust_scale":
-        ratio = 1.0 + suspect.size[0]
-    elif suspect.free == "wind" and (x or y):  # the air's pull is the wind over tau
-        turned = complex(*suspect.size) / (tau * complex(x, y))
-        ratio = 1.0 + turned.real if abs(turned.imag) < SAME_UNIT * abs(turned) else 0.0
-    return _unit_of(ratio, LOADS)
-
-
-def _unit_of(ratio: float, units: dict[float, str]) -> str:
-    """The words for the unit of a ratio; empty where none is near."""
-    near = min(units, key=lambda own: abs(ratio / own - 1.0))
-    return units[near] if abs(ratio / near - 1.0) < SAME_UNIT else ""
+    return suspect.unit(tau, complex(x, y))
 
 
 def _farther(ratio: float) -> str:
     """The words for positions that move `ratio` times as far as velocities."""
-    unit = _unit_of(ratio, UNITS)
+    unit = unit_of(ratio, UNITS)
     return (
         f"the logged position moves {float(f'{ratio:.3g}'):g} times as far as the logged velocity "
         f"says; check the units of position, velocity and time{unit and ': '}{unit}"

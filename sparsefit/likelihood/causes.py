@@ -19,6 +19,12 @@ class Cause:
     of_flow: bool = False  # whether it concerns the flow, not the vehicle or an instrument
 
 
+LOADS = {  # by the thrust that explains a flight over that which is given
+    3.2808: "; position and velocity may both be in feet",
+    1.0 / 3.2808: "; the thrust may be in feet/s^2",
+    9.80665: "; the thrust may be in g",
+}
+SAME_UNIT = 0.03  # the largest relative distance of a ratio from that of a unit
 WIND, BIAS, GAIN = ("wind_x", "wind_y"), ("position_bias_x", "position_bias_y"), ("gain",)
 BELIEVED = "than it is believed"
 OPPOSITES = {"more": "less", "longer": "shorter", "large": "small", "grow": "decay"}
@@ -109,6 +115,22 @@ class Suspect:
         chosen = {word: word if x > 0 else other for word, other in OPPOSITES.items()}
         chosen["late"] = "position" if x > 0 else "velocity"
         return template.format(**rounded, **chosen)
+
+    def unit(self, response_time: float, thrust: complex) -> str:
+        """The words for a thrust, or a wind along it, that is off by the ratio of two units."""
+        ratio = 0.0
+        if self.free == "thrust_scale":
+            ratio = 1.0 + self.size[0]
+        elif self.free == "wind" and thrust:  # the air's pull is the wind over tau
+            turned = complex(*self.size) / (response_time * thrust)
+            ratio = 1.0 + turned.real if abs(turned.imag) < SAME_UNIT * abs(turned) else 0.0
+        return unit_of(ratio, LOADS)
+
+
+def unit_of(ratio: float, units: dict[float, str]) -> str:
+    """The words for the unit of a ratio; empty where none is near."""
+    near = min(units, key=lambda own: abs(ratio / own - 1.0))
+    return units[near] if abs(ratio / near - 1.0) < SAME_UNIT else ""
 
 
 def two_digits(number: float) -> str:
