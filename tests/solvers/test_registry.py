@@ -26,7 +26,7 @@ from sparsefit.regression.penalties import (
 )
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.solvers.commands import Task, kind_of
-from sparsefit.solvers.conic import ByConicForm
+from sparsefit.solvers.conic import Cvxpy
 from sparsefit.solvers.registry import LateError, Recipe, answers, solver_names
 
 PUBLIC = Path(__file__).parents[2] / "studies/solvers/public_solvers.py"
@@ -324,12 +324,12 @@ def test_columns_of_zeros_are_left_out_and_get_a_weight_of_zero(kind):
 
 
 @pytest.mark.parametrize("kind", OTHERS)
-def test_conic_solvers_take_every_penalty_in_two_forms(kind):
+def test_the_referee_takes_every_penalty_whole_and_by_working_sets(kind):
     theta, target = posed()
     design = Design(theta, 60)
     ours, _ = path_of("clarabel", design, target, OTHERS[kind], 3)
     alphas = alpha_max(design.correlate(target), OTHERS[kind]) * np.geomspace(1.0, 0.03, 3)
-    theirs = ByConicForm().path(design, target, OTHERS[kind], alphas, None)
+    theirs = Cvxpy.path(solver("clarabel"), design, target, OTHERS[kind], alphas, None)
     np.testing.assert_allclose(theirs, ours, atol=1e-4 * np.abs(ours).max())
     assert not kind_of(OTHERS[kind])
     assert "only" in solver("celer").takes(OTHERS[kind])
