@@ -46,13 +46,9 @@ class GroupNorms(Penalty):
 
     def block_norms(self, values: Array) -> Array:
         """Norms |V_g| of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
-        with np.errstate(over="ignore"):
-            norms = np.sqrt(folded(np.add, values * values, *self._layout, self.together))
-        if 1e-120 < norms.max(initial=0.0) < np.inf:
-            return np.asarray(norms)
         peak = float(np.abs(values).max(initial=0.0)) or 1.0  # squares of 1e-200 vanish
         square = np.square(values / peak)
-        return np.asarray(peak * np.sqrt(folded(np.add, square, *self._layout, self.together)))
+        return peak * np.sqrt(folded(np.add, square, *self._layout, self.together))
 
     def norm(self, values: Array) -> Array:
         total: Array = (self.block_norms(values) * self.weights[:, None]).sum(axis=(-2, -1))
@@ -168,12 +164,10 @@ class NestedNorms(Penalty):
         return self.outer.prox(self.inner.prox(values, step), step)
 
     def slope(self, origin: Array, values: Array, step: float) -> Slope:
-        between = self.inner.prox(origin, step)
-        on = np.flatnonzero(values)
-        first = None
+        on, between = np.flatnonzero(values), self.inner.prox(origin, step)
+        first, second = None, self.outer.root(on, between, step)
         if isinstance(self.inner, GroupNorms):
             first = self.inner.root(on, origin, step)
-        second = self.outer.root(on, between, step)
         if first is None or second is None:
             return on, first if second is None else second
         return on, (second @ first).tocsc()

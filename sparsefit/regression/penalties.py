@@ -216,7 +216,7 @@ class BoundedValues(AbsoluteValues):
         return np.where(within.all(axis=(-2, -1)), super().norm(values), np.inf)
 
     def block_dual_norms(self, values: Array) -> Array:
-        return self._pull(values, 0.0, self.upper > 0, self.lower < 0)
+        return self._pull(values, self.upper > 0, self.lower < 0)
 
     @property
     def is_bounded(self) -> bool:
@@ -224,30 +224,25 @@ class BoundedValues(AbsoluteValues):
         return bool(np.any(np.isfinite(edges) & (edges != 0)))
 
     def constraint(self, values: Array) -> Array:
-        return self.raised(values, values, np.zeros(values.shape[-1]))
+        peaks: Array = self._pull(values, np.isinf(self.upper), np.isinf(self.lower)).max(axis=-2)
+        return peaks
 
-    def raised(self, values: Array, peaks: Array, error: Array) -> Array:
-        free = np.isinf(self.upper), np.isinf(self.lower)
-        pull: Array = self._pull(values, error[..., None, :], *free).max(axis=-2)
-        return pull
-
-    def _pull(self, values: Array, error: Array | float, up: BoolArray, down: BoolArray) -> Array:
-        """(C_jt + error) / omega_j up and down, where each (k,) is allowed; 0 elsewhere."""
-        rise = np.where(up[:, None], values + error, 0.0)
-        fall = np.where(down[:, None], error - values, 0.0)
+    def _pull(self, values: Array, up: BoolArray, down: BoolArray) -> Array:
+        """C_jt / omega_j up and down, where each (k,) is allowed; 0 elsewhere."""
+        rise, fall = np.where(up[:, None], values, 0.0), np.where(down[:, None], -values, 0.0)
         return np.maximum(np.maximum(rise, fall), 0.0) / self.weights[:, None]
 
     def conjugate(self, values: Array, alpha: Array | float) -> Array:
-        limit = alpha * self.weights[:, None]
-        high = np.where(np.isinf(self.upper), 0.0, self.upper)[:, None]
-        low = np.where(np.isinf(self.lower), 0.0, -self.lower)[:, None]
-        over = high * np.maximum(values - limit, 0.0) + low * np.maximum(-values - limit, 0.0)
+        limit, over = alpha * self.weights[:, None], np.zeros(())
+        for bound, sign in ((self.upper, 1.0), (-self.lower, -1.0)):
+            reach = np.where(np.isinf(bound), 0.0, bound)[:, None]
+            over = over + reach * np.maximum(sign * values - limit, 0.0)
         total: Array = over.sum(axis=-2)
         return total
 
     def in_units(self, level: float) -> Self:
-        plain = super().in_units(level)
-        return replace(plain, lower=self.lower / level, upper=self.upper / level)
+        lower, upper = self.lower / level, self.upper / level
+        return replace(self, ridge=self.ridge * level, lower=lower, upper=upper)
 
     def restricted(self, index: IntArray) -> Self:
         lower, upper = self.lower[index], self.upper[index]
@@ -261,9 +256,10 @@ class BoundedValues(AbsoluteValues):
         return np.flatnonzero(free & (values != 0)), None
 
     def conic(self, variable: Any, cvxpy: Any) -> tuple[Any, list[Any]]:
-        low, high = (np.flatnonzero(np.isfinite(part)) for part in (self.lower, self.upper))
-        bounds = [variable[low] >= self.lower[low, None]] if len(low) else []
-        bounds += [variable[high] <= self.upper[high, None]] if len(high) else []
+        bounds = []
+        for bound, sign in ((self.upper, 1.0), (-self.lower, -1.0)):
+            if len(on := np.flatnonzero(np.isfinite(bound))):
+                bounds.append(sign * variable[on] <= bound[on, None])
         return super().conic(variable, cvxpy)[0], bounds
 
 

@@ -22,51 +22,33 @@ from numpy.typing import ArrayLike
 from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.backend import Checked, Solution, setting
 from sparsefit.regression.certificate import CertificateKind
-from sparsefit.regression.design import Design
 from sparsefit.regression.problem import RegressionProblem
 
-FEW = 2000  # columns whose products are formed at once
+FEW = 2000  # columns, whose Z'Z is formed once
 
 
 def explained(problem: RegressionProblem, weights: Array | None = None) -> Array:
     """|P_g R|^2 / m (g,): the mean square of R = Y - theta W that each group alone explains.
 
-    From Z_g'Z_g/m and Z'R/m, groups of one size in one batch; from the rows where Z_g'Z_g has lost
-    a group's rank.
+    From Z_g'Z_g/m and Z'R/m; from the rows where Z_g'Z_g has lost a group's rank.
     """
-    cross, residual = problem.cross, problem.target
+    design, cross, residual = problem.design, problem.cross, problem.target
     if weights is not None:
-        residual = residual - problem.design.raw_predict(weights)
-        cross = problem.design.correlate(residual)
-    order = np.argsort(problem.groups, kind="stable")
-    sizes = np.bincount(problem.groups)
-    starts = np.cumsum(sizes) - sizes
-    gains = np.zeros(len(sizes))
-    for size in np.unique(sizes):
-        chosen = np.flatnonzero(sizes == size)
-        index = order[starts[chosen][:, None] + np.arange(size)]
-        roots, vectors = np.linalg.eigh(_products(problem.design, index))
-        load = np.sum((vectors.transpose(0, 2, 1) @ cross[index]) ** 2, axis=2)
-        sound = roots > 1e-9 * roots[:, -1:]
-        gains[chosen] = np.sum(np.where(sound, load / np.where(sound, roots, 1.0), 0.0), axis=1)
-        for i in np.flatnonzero(~sound.all(axis=1)):
-            z = problem.design.columns(index[i])
-            left, values, _ = np.linalg.svd(z, full_matrices=False)
-            spanned = left[:, values > np.finfo(float).eps * max(z.shape) * values[0]].T @ residual
-            gains[chosen[i]] = float(np.sum(spanned**2)) / problem.samples
+        residual = residual - design.raw_predict(weights)
+        cross = design.correlate(residual)
+    whole = design.gram if problem.columns <= FEW else None
+    order, ends = np.argsort(problem.groups, kind="stable"), np.cumsum(np.bincount(problem.groups))
+    gains = np.zeros(len(ends))
+    for group, columns in enumerate(np.split(order, ends[:-1])):
+        square = design.products(columns) if whole is None else whole[np.ix_(columns, columns)]
+        roots, vectors = np.linalg.eigh(square)
+        if roots[0] > 1e-9 * roots[-1]:
+            gains[group] = np.sum((vectors.T @ cross[columns]) ** 2 / roots[:, None])
+        else:
+            z = design.columns(columns)
+            fitted = z @ np.linalg.lstsq(z, residual, rcond=None)[0]
+            gains[group] = np.sum(fitted**2) / problem.samples
     return gains
-
-
-def _products(design: Design, index: IntArray) -> Array:
-    """Z_g'Z_g/m (g, c, c) of the columns (g, c) of groups; Z'Z of few columns is formed once."""
-    if design.shape[1] <= FEW:
-        return design.gram[index[:, :, None], index[:, None, :]]
-    products, step = np.empty((*index.shape, index.shape[1])), max(FEW // index.shape[1], 1)
-    for start in range(0, len(index), step):
-        part = index[start : start + step]
-        columns = design.columns(part.ravel()).T.reshape(*part.shape, -1)
-        products[start : start + step] = columns @ columns.transpose(0, 2, 1) / design.samples
-    return products
 
 
 def fit_on(problem: RegressionProblem, groups: ArrayLike) -> tuple[Array, float]:
