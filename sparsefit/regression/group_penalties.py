@@ -48,7 +48,7 @@ class GroupNorms(Penalty):
         """Norms |V_g| of values (..., k, n): shape (..., g, n), or (..., g, 1) when joint."""
         peak = float(np.abs(values).max(initial=0.0)) or 1.0  # squares of 1e-200 vanish
         square = np.square(values / peak)
-        return peak * np.sqrt(folded(np.add, square, *self._layout, self.together))
+        return peak * np.sqrt(sums(square, *self._layout, self.together))
 
     def norm(self, values: Array) -> Array:
         total: Array = (self.block_norms(values) * self.weights[:, None]).sum(axis=(-2, -1))
@@ -105,16 +105,14 @@ class NestedNorms(Penalty):
     """The sparse-group LASSO's norm, sum_g omega_g |V_g| + sum_h lambda_h |V_h|.
 
     Each inner block h lies in one group g. The outer norms are of the groups, the inner ones of
-    coefficients or of subgroups, which may be joint over targets only if the groups are. The dual
-    norm of a group is the tau > 0 with
+    coefficients or of subgroups, which may be joint over targets only if the groups are. The prox
+    is the inner one, then the outer one (Jenatton, Mairal, Obozinski and Bach, J. Mach. Learn. Res.
+    12 (2011) 2297-2334); the roots of both derivatives commute, and N is their product. The dual
+    norm of a group is the least tau with
 
-        sum_{h in g} (|C_h| - tau lambda_h)_+^2 = (tau omega_g)^2.
+        |u| <= tau omega_g,   u_h = (|C_h| - tau lambda_h)_+,   h in g,
 
-    Newton's method finds x = 1/tau as the root of |(x |C_h| - lambda_h)_+| - omega_g, which is
-    convex and increases: the iterates fall to the root, and the chord from the last of them to the
-    x where the function is -omega_g gives a tau that is proven not to be too small. The prox is the
-    inner one, then the outer one (Jenatton, Mairal, Obozinski and Bach, J. Mach. Learn. Res. 12
-    (2011) 2297-2334); the roots of both derivatives commute, and N is their product.
+    to which Newton's method rises as in `Penalty.dual_norm`, by the same products with this prox.
     """
 
     outer: GroupNorms
@@ -136,26 +134,23 @@ class NestedNorms(Penalty):
         home = np.zeros(len(inner.weights), dtype=np.intp)
         home[inner.blocks] = outer.groups
         order, starts = in_order(home, len(outer.weights))
-        sizes = inner.block_dual_norms(values) * inner.weights[:, None]
         order = np.arange(len(home)) if order is None else order
-        sizes, price, group = sizes[..., order, :], inner.weights[order, None], home[order]
-        omega = outer.weights[:, None]
+        unit = float(np.abs(values).max(initial=0.0)) or 1.0  # squares of 1e-200 vanish
+        sizes = (inner.block_dual_norms(values / unit) * inner.weights[:, None])[..., order, :]
+        price, group, omega = inner.weights[order, None], home[order], outer.weights[:, None]
 
-        def over_blocks(fold: np.ufunc, parts: Array) -> Array:
-            return folded(fold, parts, None, starts, outer.together)
+        def summed(parts: Array) -> Array:
+            return sums(parts, None, starts, outer.together)
 
-        with np.errstate(over="ignore"):  # lambda near 0: the bound is of no use then
-            x = _inverse(over_blocks(np.maximum, sizes / (price + omega[group])))
-            least = _inverse(over_blocks(np.maximum, sizes / price))
-        for _ in range(60):
-            excess = np.maximum(sizes * x[..., group, :] - price, 0.0)
-            length = np.sqrt(over_blocks(np.add, excess**2))
-            slope = over_blocks(np.add, sizes * excess) / np.where(length > 0, length, 1.0)
-            step = np.maximum(length - omega, 0.0) * _inverse(slope)
-            if not np.any(step > 1e-15 * x):
-                break
-            x = x - step
-        return _inverse(least + (x - least) * omega / np.maximum(omega, length))
+        rise = last = summed(0.0 * sizes)
+        while True:
+            excess = np.maximum(sizes - price * rise[..., group, :], 0.0)
+            length = np.sqrt(summed(excess**2))
+            is_low, last = length > omega * rise, rise
+            below = np.where(is_low, summed(price * excess) + omega * length, 1.0)
+            rise = np.maximum(rise, np.where(is_low, summed(sizes * excess) / below, 0.0))
+            if not np.any(rise > last):
+                return unit * rise
 
     def restricted(self, index: IntArray) -> Self:
         return replace(self, outer=self.outer.restricted(index), inner=self.inner.restricted(index))
@@ -185,17 +180,10 @@ def in_order(groups: IntArray, count: int) -> tuple[IntArray | None, IntArray]:
     return order, np.searchsorted(groups, np.arange(count))
 
 
-def folded(
-    fold: np.ufunc, values: Array, order: IntArray | None, starts: IntArray, joint: bool
-) -> Array:
-    """Sums or maxima over blocks of values (..., k, n): (..., g, n), or (..., g, 1) when joint."""
+def sums(values: Array, order: IntArray | None, starts: IntArray, joint: bool) -> Array:
+    """Sums over the blocks of values (..., k, n): (..., g, n), or (..., g, 1) when joint."""
     if order is not None:
         values = values[..., order, :]
     if joint:  # slice by slice, as numpy is slow along an axis of few entries
-        values = reduce(fold, np.moveaxis(values, -1, 0))[..., None]
-    return np.asarray(fold.reduceat(values, starts, axis=-2))
-
-
-def _inverse(values: Array) -> Array:
-    """1 / values; 0 where they are 0."""
-    return np.divide(1.0, values, out=np.zeros_like(values), where=values > 0)
+        values = reduce(np.add, np.moveaxis(values, -1, 0))[..., None]
+    return np.add.reduceat(values, starts, axis=-2)

@@ -91,11 +91,8 @@ class SortedNorm(Penalty):
 class FusedNorm(Penalty):
     """The fused LASSO's norm of each target, r sum_j |V_j| + (1 - r) sum_j |V_(j+1) - V_j|.
 
-    The number ``count`` is k, the ratio r in (0, 1]. The corners of the unit ball are runs of equal
-    weights, as level sets show. The dual norm is therefore the largest |sum of C over a run| /
-    (r length + (1 - r) ends), where the first and the last column are no ends; Dinkelbach's method
-    finds it in k operations a turn. The prox is that of the total variation, then soft
-    thresholding; its derivative is the mean over each run of equal weights.
+    The number ``count`` is k, the ratio r in (0, 1]. The prox is that of the total variation, then
+    soft thresholding; its derivative is the mean over each run of equal weights.
     """
 
     count: int
@@ -109,32 +106,6 @@ class FusedNorm(Penalty):
         jumps = np.abs(np.diff(values, axis=-2)).sum(axis=(-2, -1))
         total: Array = self.ratio * np.abs(values).sum(axis=(-2, -1)) + (1.0 - self.ratio) * jumps
         return total
-
-    def dual_norm(self, values: Array) -> Array:
-        k, r = self.count, self.ratio
-        shape = (*values.shape[:-2], 1, values.shape[-1])
-        sums = np.concatenate([np.zeros(shape), np.cumsum(values, axis=-2)], axis=-2)
-        place = np.arange(k + 1)[:, None]
-        first = r * place + np.where(place == 0, 1.0 - r, 0.0)  # what a run from here on saves
-        last = r * place - np.where(place == k, 1.0 - r, 0.0) + 2.0 * (1.0 - r)
-        peak = np.zeros((*values.shape[:-2], values.shape[-1]))
-        for _ in range(60):
-            level, best = peak[..., None, :], peak
-            for sign in (1.0, -1.0):
-                start = sign * sums - level * first
-                end = sign * sums - level * last
-                least = np.minimum.accumulate(start, axis=-2)[..., :-1, :]
-                at = np.argmax(end[..., 1:, :] - least, axis=-2)[..., None, :]
-                # The run that ends after `at` begins where `start` was least until then.
-                before = np.where(np.arange(k)[:, None] <= at, start[..., :-1, :], np.inf)
-                begin = np.argmin(before, axis=-2)[..., None, :]
-                total = np.take_along_axis(sums, at + 1, -2) - np.take_along_axis(sums, begin, -2)
-                size = r * (at + 1 - begin) + (1.0 - r) * ((begin > 0) * 1.0 + (at + 1 < k))
-                best = np.maximum(best, (sign * total / size)[..., 0, :])
-            if not np.any(best > peak * (1.0 + 1e-15)):
-                break
-            peak = best
-        return peak
 
     def prox(self, values: Array, step: float) -> Array:
         flat = np.stack([_taut(column, step * (1.0 - self.ratio)) for column in values.T], axis=1)

@@ -2,11 +2,12 @@
 
     minimise over V:   loss(Y - Z V) + alpha * Omega(V),   Omega(V) = norm(V) + ridge/2 |V|_F^2
 
-A class defines its ``norm``, its ``dual_norm`` max {<C, V> : norm(V) <= 1}, and its ``prox``
+A class defines its ``norm`` and its ``prox``
 
     argmin over V of  |V - U|^2/2 + step * norm(V).
 
-Certificate, alpha_max, working sets and paths follow. ``slope`` is a factor N of the derivative of
+The ``dual_norm`` max {<C, V> : norm(V) <= 1} follows, if a closed form is not faster, and with it
+certificate, alpha_max, working sets and paths. ``slope`` is a factor N of the derivative of
 the prox, N N', and makes the generic solver Newton's method; without it the derivative is taken
 coefficient by coefficient. ``conic`` is the norm as an expression of cvxpy.
 
@@ -32,7 +33,7 @@ Slope = tuple[IntArray, Any]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Penalty(ABC):
-    """A penalty on k columns; a subclass defines ``norm``, a dual norm and ``prox``.
+    """A penalty on k columns; a subclass defines ``norm`` and ``prox``.
 
     ridge: rho of the additional term rho/2 |V|^2; loss: the loss that the penalty is added to.
     """
@@ -77,9 +78,21 @@ class Penalty(ABC):
     def dual_norm(self, values: Array) -> Array:
         """The dual norm of values (..., k, n), the largest of all blocks: (..., n) or (..., 1).
 
-        Where |C| <= e in every entry it is at most that of C = e.
+        Where |C| <= e in every entry it is at most that of C = e. By default it is the least s at
+        which prox(C, s) is zero, by Newton's method: with P = prox(C, s), <C, P> = s norm(P) +
+        |P|^2, so that s rises to <C, P> / norm(P), and ends in few steps.
         """
-        peaks: Array = self.block_dual_norms(values).max(axis=-2)
+        if type(self).block_dual_norms is not Penalty.block_dual_norms:
+            return np.asarray(self.block_dual_norms(values).max(axis=-2))
+        apart = values[..., None, :, :] if self.coupled else np.swapaxes(values, -1, -2)[..., None]
+        peaks = np.zeros(apart.shape[:-2])
+        for place in np.ndindex(peaks.shape):
+            size = float(np.abs(apart[place]).max(initial=0.0)) or 1.0
+            part, last, rise = apart[place] / size, -1.0, 0.0
+            while rise > last:
+                point, last = self.prox(part, rise), rise
+                rise = float(np.vdot(part, point) / self.norm(point)) if point.any() else last
+            peaks[place] = size * last
         return peaks
 
     def conjugate(self, values: Array, alpha: Array | float) -> Array:

@@ -140,7 +140,7 @@ class RegressionProblem(Brief):
             inner = _numbers(subgroups, labels, "subgroups")
             if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
                 raise InputError("subgroups must lie within groups: one of them spans two groups")
-        if intercept not in (True, False):
+        if not np.isscalar(intercept) or intercept not in (True, False):
             raise InputError(f"intercept must be true or false, not {intercept!r}")
         weight, posed = None, dict[str, Any](target=values)
         if sample_weight is not None:

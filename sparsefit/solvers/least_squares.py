@@ -44,13 +44,10 @@ class LeastSquares(Checked):
     def solve(self, problem: RegressionProblem) -> Solution:
         """The minimum-norm least-squares weights over the retained singular values."""
         if problem.samples < problem.columns and self.rcond is None:
-            return Solution(
-                None,
-                "error",
-                f"{problem.samples} samples are fewer than {problem.columns} columns: the set of "
-                "candidates cannot exceed the data (paper, Section V.B); use more samples, fewer "
-                "columns, or stlsq, lasso or group-lasso, which do not need it",
-            )
+            words = f"{problem.samples} samples are fewer than {problem.columns} columns: the set "
+            words += "of candidates cannot exceed the data (paper, Section V.B); use more samples, "
+            words += "fewer columns, or stlsq, lasso or group-lasso, which do not need it"
+            return Solution(None, "error", words)
         shared = "spectrum" in vars(problem)
         spectrum = problem.spectrum
         retained = spectrum.retained(self.rcond, problem.samples)
@@ -91,12 +88,9 @@ class STLSQ(Checked):
     def solve(self, problem: RegressionProblem) -> Solution:
         """Weights on the support that thresholding leaves."""
         if problem.samples < problem.columns and self.ridge == 0:
-            return Solution(
-                None,
-                "error",
-                f"{problem.samples} samples are fewer than {problem.columns} columns and ridge "
-                "is 0: the first solve is not unique; set ridge above 0 or use lasso",
-            )
+            words = f"{problem.samples} samples are fewer than {problem.columns} columns and ridge "
+            words += "is 0: the first solve is not unique; set ridge above 0 or use lasso"
+            return Solution(None, "error", words)
         support = np.ones((problem.columns, problem.targets), dtype=bool)
         for iteration in range(1, self.max_iterations + 1):
             previous, (values, support) = support, self._thresholded(problem, support)
@@ -187,7 +181,10 @@ def _solved(
         raise InputError(f"{words} of {len(right)} samples: raise it, or use lasso")
     factor, failed = None, is_wide and not safe
     if not failed:
-        block = _products(problem, on)
+        if count < problem.columns and problem.columns > FEW:
+            block = design.products(on)
+        else:  # whole rows first, which is five times faster than rows and columns at once
+            block = design.gram.take(on, 0).take(on, 1)
         block.flat[:: count + 1] += ridge
         factor, failed = dpotrf(block.T, lower=1, overwrite_a=1)
     if failed or not (safe or dpocon(factor, size, uplo="L")[0] > floor):
@@ -229,16 +226,6 @@ def _by_gradients(
         return solution
     words = f"stlsq: {len(on)} of the columns are too alike for {steps} conjugate gradients"
     raise InputError(f"{words}: raise its ridge or its threshold, or use lasso")
-
-
-def _products(problem: RegressionProblem, on: IntArray) -> Array:
-    """Z_J'Z_J/m of the columns of a support (j,), a copy."""
-    if len(on) == problem.columns:
-        return problem.design.gram.copy()
-    if problem.columns > FEW:
-        return problem.design.products(on)
-    # Whole rows first, which is five times faster than rows and columns at once.
-    return problem.design.gram.take(on, 0).take(on, 1)
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = ["REFEREE", "LateError", "Recipe", "answers", "solver_names"]
 REFEREE = Clarabel.name
+DECLARED = {"package": "", "extra": "", "stops": True, "compiles": False}
+"""The attributes that the class of a solver may have, and their values without."""
 
 
 def _plugins() -> "Mapping[str, EntryPoint]":
@@ -96,8 +98,9 @@ class Recipe:
         if self.command:
             folder = Path(self.file).parent
             return Command(self.name, self.command, folder, self.settings, self.limit, self.start)
-        if self.package and importlib.util.find_spec(self.package) is None:
-            extra = getattr(self.owner, "extra", "") or self.package
+        package = self.declared("package")
+        if package and importlib.util.find_spec(package) is None:
+            extra = self.declared("extra") or package
             raise MissingExtra(f"{self.name} is not installed: pip install {extra}")
         return made(f"solver {self.name}", self.owner, self.settings)
 
@@ -110,20 +113,9 @@ class Recipe:
             return str(error)
         return ""
 
-    @property
-    def stops(self) -> bool:
-        """Whether a tolerance can be set."""
-        return bool(getattr(self.owner, "stops", True))
-
-    @property
-    def compiles(self) -> bool:
-        """Whether a first call may take longer than a solve."""
-        return bool(getattr(self.owner, "compiles", False))
-
-    @property
-    def package(self) -> str:
-        """The package that must be importable; empty where none is needed."""
-        return str(getattr(self.owner, "package", ""))
+    def declared(self, attribute: str) -> Any:
+        """The value of one of the DECLARED attributes of the solver's class."""
+        return getattr(self.owner, attribute, DECLARED[attribute])
 
 
 def answers(

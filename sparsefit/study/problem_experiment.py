@@ -424,9 +424,9 @@ def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
                 raise InputError(f'{name} has no penalty, so "{recipe.name}" is none of its own')
             else:
                 own = f"{recipe.name}{dict(recipe.settings) or ''}"
-                about |= {"stops": recipe.stops, "missing": recipe.missing}
-                about["compiles"] |= recipe.compiles
-                about["family"] = recipe.package or own
+                about |= {"stops": recipe.declared("stops"), "missing": recipe.missing}
+                about["compiles"] |= recipe.declared("compiles")
+                about["family"] = recipe.declared("package") or own
                 takes = None if about["missing"] else getattr(recipe.make(), "takes", None)
                 if callable(takes) and (reason := takes(backend.penalty(problem))):
                     raise InputError(str(reason))

@@ -1,5 +1,7 @@
 """Penalties against a conic solver, finite differences and what defines them."""
 
+from dataclasses import fields
+
 import cvxpy
 import numpy as np
 import pytest
@@ -72,6 +74,10 @@ def test_the_dual_norm_is_the_largest_product_in_the_unit_ball(penalty: Penalty)
             program = cvxpy.Problem(cvxpy.Maximize(gain), [norm <= 1, *constraints])
             program.solve(solver="CLARABEL")
             assert penalty.dual_norm(pull[:, targets]).max() == pytest.approx(program.value, 1e-5)
+    unstated = {name: getattr(Penalty, name) for name in ("dual_norm", "block_dual_norms")}
+    own = {field.name: getattr(penalty, field.name) for field in fields(penalty)}
+    by_prox = type("ByProx", (type(penalty),), unstated)(**own)
+    assert np.allclose(by_prox.dual_norm(pull), penalty.dual_norm(pull), rtol=1e-14)
     batch = np.stack([pull, 2 * pull])
     assert penalty.conjugate(batch, 1e9).tolist() == [[0.0] * N] * 2  # alpha is above the dual norm
     assert np.allclose(penalty.dual_norm(batch)[1], 2 * penalty.dual_norm(pull))

@@ -346,6 +346,7 @@ def test_arrays_a_name_and_settings_are_a_fit():
         (lambda t, y: sf.fit(t, y, backends.get("lasso"), alpha_fraction=0.1), "back-end's name"),
         (lambda t, y: sf.fit(t, y, "lasso", groups=[[0, 1], [2]]), "one label per column"),
         (lambda t, y: sf.fit(t, y, "lasso", groups=[[0, 1], [2, 3]]), "one label per column"),
+        (lambda t, y: sf.fit(t, y, "lasso", intercept=y), "intercept must be true or false"),
         (lambda t, y: sf.fit(problem(), "lasso", groups=[0, 0, 1, 1]), "has its groups"),
         (lambda t, y: sf.fit(problem(), "lasso", intercept=True), "has its intercept"),
     ],

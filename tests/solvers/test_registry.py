@@ -123,7 +123,7 @@ def test_a_file_beside_a_study_has_solvers_with_settings(tmp_path):
     reference = exact[1].weights
     np.testing.assert_allclose(fine[1].weights, reference, atol=1e-8)
     assert np.abs(rough[1].weights - reference).max() > 1e-3
-    assert recipes[0].stops
+    assert recipes[0].declared("stops")
     with pytest.raises(InputError, match=r'solver of mine\.py "other"'):
         Recipe("other", file=str(path)).make()
     (tmp_path / "bad.py").write_text("1 / 0")
@@ -354,8 +354,5 @@ def test_what_a_solver_does_not_take_is_refused_in_a_line():
     assert (found.status, found.weights) == ("error", None)
     assert "scikit-learn-lars solves LASSO only" in found.reason
     assert "cones" in solver("osqp").takes(PENALTIES["joint"])
-    assert "no method `conic`" in solver("clarabel").takes(_Unstated(np.ones(K)))
-
-
-class _Unstated(AbsoluteValues):
-    conic = SquaredNorm.__mro__[1].conic
+    unstated = type("Unstated", (AbsoluteValues,), {"conic": SquaredNorm.__mro__[1].conic})
+    assert "no method `conic`" in solver("clarabel").takes(unstated(np.ones(K)))
