@@ -229,7 +229,7 @@ class BoundedValues(AbsoluteValues):
         return np.where(within.all(axis=(-2, -1)), super().norm(values), np.inf)
 
     def block_dual_norms(self, values: Array) -> Array:
-        return self._pull(values, self.upper > 0, self.lower < 0)
+        return self._pull(values, 0.0, self.upper > 0, self.lower < 0)
 
     @property
     def is_bounded(self) -> bool:
@@ -237,12 +237,18 @@ class BoundedValues(AbsoluteValues):
         return bool(np.any(np.isfinite(edges) & (edges != 0)))
 
     def constraint(self, values: Array) -> Array:
-        peaks: Array = self._pull(values, np.isinf(self.upper), np.isinf(self.lower)).max(axis=-2)
-        return peaks
+        return self.raised(values, values, np.zeros(values.shape[-1]))
 
-    def _pull(self, values: Array, up: BoolArray, down: BoolArray) -> Array:
-        """C_jt / omega_j up and down, where each (k,) is allowed; 0 elsewhere."""
-        rise, fall = np.where(up[:, None], values, 0.0), np.where(down[:, None], -values, 0.0)
+    def raised(self, values: Array, peaks: Array, error: Array) -> Array:
+        # Not as of a norm: where C < -error everywhere, the gauge is 0, and so is alpha_max.
+        free = np.isinf(self.upper), np.isinf(self.lower)
+        pull: Array = self._pull(values, error[..., None, :], *free).max(axis=-2)
+        return pull
+
+    def _pull(self, values: Array, error: Array | float, up: BoolArray, down: BoolArray) -> Array:
+        """(C_jt + error) / omega_j up and down, where each (k,) is allowed; 0 elsewhere."""
+        rise = np.where(up[:, None], values + error, 0.0)
+        fall = np.where(down[:, None], error - values, 0.0)
         return np.maximum(np.maximum(rise, fall), 0.0) / self.weights[:, None]
 
     def conjugate(self, values: Array, alpha: Array | float) -> Array:
