@@ -3,7 +3,7 @@
 import html
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -130,12 +130,8 @@ class Path(Brief):
 
     @cached_property
     def alpha_max(self) -> float:
-        """The smallest alpha whose solution is zero, in the unit of the target.
-
-        It is that of columns of unit rms.
-        """
-        backend, problem = self.fits[0].backend, self.fits[0].problem
-        return problem.alpha_max(cast(PenalisedBackend, backend).penalty(problem))
+        """The smallest alpha whose solution is zero, in the unit of the target: of unit columns."""
+        return self.fits[0].alpha / self.fits[0].alpha_fraction
 
     @property
     def alphas(self) -> Array:

@@ -45,15 +45,14 @@ def kind_of(penalty: Penalty) -> Kind:
     """The kind of a penalty."""
     if penalty.loss != SQUARES or (penalty.ridge and type(penalty) is not AbsoluteValues):
         return ""
+    if isinstance(penalty, AbsoluteValues) and penalty.ridge:
+        return "elastic net" if np.ptp(penalty.weights) == 0.0 else ""
     if isinstance(penalty, NestedNorms):
         plain = type(penalty.inner) is AbsoluteValues and not penalty.coupled
         return "sparse-group LASSO" if plain else ""
-    if type(penalty) is AbsoluteValues:
-        even = np.ptp(penalty.weights) == 0.0
-        return "LASSO" if not penalty.ridge else "elastic net" if even else ""
-    if type(penalty) is GroupNorms:
-        return "joint group-LASSO" if penalty.coupled else "group-LASSO"
-    return "SLOPE" if type(penalty) is SortedNorm else ""
+    joint: Kind = "joint group-LASSO" if penalty.coupled else "group-LASSO"
+    kinds: dict[type, Kind] = {AbsoluteValues: "LASSO", GroupNorms: joint, SortedNorm: "SLOPE"}
+    return kinds.get(type(penalty), "")
 
 
 def matrix_of(design: Design) -> Any:

@@ -152,11 +152,8 @@ def changes():
         back = partial(np.multiply, units[:, None])
         yield f"columns in units to {span:g}", (theta * units, target, groups), back
     for unit in (-1.0, 1e-9, 1e9):
-        yield (
-            f"target times {unit:g}",
-            (theta, target * unit, groups),
-            partial(np.multiply, 1 / unit),
-        )
+        back = partial(np.multiply, 1 / unit)
+        yield f"target times {unit:g}", (theta, target * unit, groups), back
 
 
 CHANGES = {name: (rebuilt(PROBLEM, *parts), back) for name, parts, back in changes()}

@@ -191,6 +191,11 @@ def test_bounds_that_bind_are_certified_and_agree_with_scipy(lower, upper):
         assert (weights == upper).sum() >= 2
 
 
+def test_columns_that_are_all_against_the_target_leave_positive_weights_at_zero():
+    fit = sf.fit(np.abs(THETA), -np.ones(len(THETA)), "lasso", positive=True)
+    assert (fit.status, fit.alpha, fit.weights.any()) == ("ok", 0.0, False)
+
+
 def test_bounds_are_certified_on_more_columns_than_samples():
     theta, target = DRAW.normal(size=(30, 700)), DRAW.normal(size=(30, 1))
     problem = sf.RegressionProblem.from_arrays(theta, target)

@@ -180,9 +180,8 @@ def test_a_warning_makes_an_answer_inaccurate(words, shown):
 
 def test_a_command_is_handed_a_folder_and_timed_between_its_lines(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
-    recipe = Recipe(
-        "theirs", {"factor": 2.0}, str(tmp_path / "study.toml"), (sys.executable, "program.py")
-    )
+    words = (sys.executable, "program.py")
+    recipe = Recipe("theirs", {"factor": 2.0}, str(tmp_path / "study.toml"), words)
     data, penalty = problem(), AbsoluteValues(np.full(6, 0.5))
     design = Design(data.theta, 50)
     cross = design.correlate(data.target)
@@ -269,8 +268,6 @@ def objective(design, target, penalty, weights, alphas):
 
 
 SLOW = ("skglm",)  # half a minute to compile
-
-
 MODULE = sys.modules[recipe_of("celer").owner.__module__]
 NAMES = [each.name for each in MODULE.Public.__subclasses__()]  # not those behind cvxpy: slower
 INSTALLED = ["clarabel", *(name for name in NAMES if not recipe_of(name).missing)]
