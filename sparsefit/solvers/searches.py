@@ -37,17 +37,22 @@ def explained(problem: RegressionProblem, weights: Array | None = None) -> Array
         residual = residual - design.raw_predict(weights)
         cross = design.correlate(residual)
     whole = design.gram if problem.columns <= FEW else None
-    order, ends = np.argsort(problem.groups, kind="stable"), np.cumsum(np.bincount(problem.groups))
-    gains = np.zeros(len(ends))
-    for group, columns in enumerate(np.split(order, ends[:-1])):
-        square = design.products(columns) if whole is None else whole[np.ix_(columns, columns)]
-        roots, vectors = np.linalg.eigh(square)
-        if roots[0] > 1e-9 * roots[-1]:
-            gains[group] = np.sum((vectors.T @ cross[columns]) ** 2 / roots[:, None])
+    order, sizes = np.argsort(problem.groups, kind="stable"), np.bincount(problem.groups)
+    gains = np.zeros(len(sizes))
+    for size in np.unique(sizes):
+        chosen = np.flatnonzero(sizes == size)
+        index = order[np.isin(problem.groups[order], chosen)].reshape(-1, size)
+        if whole is None:
+            squares = np.stack([design.products(columns) for columns in index])
         else:
-            z = design.columns(columns)
+            squares = whole[index[:, :, None], index[:, None, :]]
+        roots, vectors = np.linalg.eigh(squares)
+        load = np.sum((vectors.transpose(0, 2, 1) @ cross[index]) ** 2, axis=2)
+        gains[chosen] = np.sum(load / np.where(roots > 0.0, roots, 1.0), axis=1)
+        for i in np.flatnonzero(roots[:, 0] <= 1e-9 * roots[:, -1]):
+            z = design.columns(index[i])
             fitted = z @ np.linalg.lstsq(z, residual, rcond=None)[0]
-            gains[group] = np.sum(fitted**2) / problem.samples
+            gains[chosen[i]] = np.sum(fitted**2) / problem.samples
     return gains
 
 
