@@ -145,11 +145,11 @@ class NestedNorms(Penalty):
         rise = last = summed(0.0 * sizes)
         while True:
             excess = np.maximum(sizes - price * rise[..., group, :], 0.0)
-            length = np.sqrt(summed(excess**2))
-            is_low, last = length > omega * rise, rise
-            below = np.where(is_low, summed(price * excess) + omega * length, 1.0)
-            rise = np.maximum(rise, np.where(is_low, summed(sizes * excess) / below, 0.0))
-            if not np.any(rise > last):
+            square, cost = summed(excess**2), summed(price * excess)
+            length, last = np.sqrt(square), rise
+            below = np.where(length > omega * last, cost + omega * length, np.inf)
+            rise = np.maximum(last, (square + last * cost) / below)
+            if not np.any(rise > last * (1.0 + 1e-15)):
                 return unit * rise
 
     def restricted(self, index: IntArray) -> Self:
