@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import io
-from collections.abc import Iterator
 from contextlib import redirect_stdout
 from typing import TYPE_CHECKING, Any
 
@@ -121,45 +120,45 @@ def _tried(name: str, settings: dict[str, Any]) -> dict[str, Any]:
     return {"backend": name, **answer, **true, **loops, "faults": wrong}
 
 
-def faults(backend: Backend, problem: RegressionProblem) -> list[str]:
+def faults(backend: Any, problem: RegressionProblem) -> list[str]:
     """Violations of a plug-in's contract on one problem, a sentence each; none where it keeps it.
 
     Its ``solve`` is pure, returns weights that fit better than zeros do, and says ``ok`` of what
     its certificate confirms only; its class is a frozen dataclass.
     """
-    try:
-        return list(_faults(backend, problem))
-    except ModuleNotFoundError as error:
-        return [one_line(f"it needs the package {error.name!r}, which is not installed")]
-    except Exception as error:  # of code of others, or of what it returned: the last fault
-        return [one_line(f"raises {type(error).__name__}: {error}")]
-
-
-def _faults(backend: Any, problem: RegressionProblem) -> Iterator[str]:
     import numpy as np
 
     from sparsefit.regression.fit import fit
 
-    if not type(backend).__dataclass_params__.frozen:
-        yield "its class is not frozen: write @dataclass(frozen=True)"
-    printed = io.StringIO()
-    with redirect_stdout(printed):
-        first, second = _solved(backend, problem), _solved(backend, problem)
-    if printed.getvalue():
-        yield f"it prints: {one_line(printed.getvalue())[:60]!r}"
-    weights, again = first.weights, second.weights
-    if weights is None or again is None:
-        yield "it has no weights for a problem that every least-squares solver solves"
-        return
-    if np.linalg.norm(weights - again) > 1e-6 * np.linalg.norm(weights):
-        yield "it answers the same problem differently the second time: solve must be pure"
-    elif first.status == "ok" and (judged := fit(problem, backend)).status != "ok":
-        yield f"it says ok of an answer that is not: {judged.reason}"
-    residual = np.linalg.norm(problem.target - problem.design.raw_predict(weights))
-    if not residual <= (1.0 + 1e-9) * np.linalg.norm(problem.target):
-        yield "its weights fit the target worse than zeros do"
-    if dataclasses.replace(backend) != backend:
-        yield "two of it with the same settings are not equal: it is no plain dataclass"
+    broken, printed = list[str](), io.StringIO()
+    try:
+        if not type(backend).__dataclass_params__.frozen:
+            broken.append("its class is not frozen: write @dataclass(frozen=True)")
+        with redirect_stdout(printed):
+            first, second = _solved(backend, problem), _solved(backend, problem)
+        if printed.getvalue():
+            broken.append(f"it prints: {one_line(printed.getvalue())[:60]!r}")
+        weights, again = first.weights, second.weights
+        if weights is None or again is None:
+            words = "it has no weights for a problem that every least-squares solver solves"
+            return [*broken, words]
+        if np.linalg.norm(weights - again) > 1e-6 * np.linalg.norm(weights):
+            words = "it answers the same problem differently the second time: solve must be pure"
+            broken.append(words)
+        elif first.status == "ok" and (judged := fit(problem, backend)).status != "ok":
+            broken.append(f"it says ok of an answer that is not: {judged.reason}")
+        residual = np.linalg.norm(problem.target - problem.design.raw_predict(weights))
+        if not residual <= (1.0 + 1e-9) * np.linalg.norm(problem.target):
+            broken.append("its weights fit the target worse than zeros do")
+        if dataclasses.replace(backend) != backend:
+            broken.append(
+                "two of it with the same settings are not equal: it is no plain dataclass"
+            )
+    except ModuleNotFoundError as error:
+        broken.append(one_line(f"it needs the package {error.name!r}, which is not installed"))
+    except Exception as error:  # of code of others, or of what it returned: the last fault
+        broken.append(one_line(f"raises {type(error).__name__}: {error}"))
+    return broken
 
 
 def _solved(backend: Backend, problem: RegressionProblem) -> Solution:

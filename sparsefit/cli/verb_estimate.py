@@ -14,7 +14,6 @@ from sparsefit.whole_file import write_whole
 if TYPE_CHECKING:
     from sparsefit.cli.printed import ReadLog
     from sparsefit.estimator import Estimator
-    from sparsefit.flight import Flight
     from sparsefit.logs.flight_table import FlightTable
 
 FLIGHT = Option(
@@ -114,10 +113,14 @@ def run(args: argparse.Namespace) -> Reply:
 
 
 def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
-    """The logs, cut to the times asked for, in the frame of the first; bad ones are refused."""
+    """The logs, cut to the times asked for, in the frame of the first; bad ones are refused.
+
+    A vehicle is as in the file unless the command line says otherwise.
+    """
     from sparsefit.cli.printed import ReadLog
     from sparsefit.logs.checks import LogQuality, check_log
     from sparsefit.logs.files import read_table
+    from sparsefit.logs.flight_table import vehicle_of
     from sparsefit.logs.layout import Layout
     from sparsefit.rows import Derivative
 
@@ -132,34 +135,24 @@ def _logs(args: argparse.Namespace, estimator: Estimator) -> list[ReadLog]:
             f"{nowhere}: has no longitude and latitude, and {where} has: several "
             "flights need one frame; give x and y of all in metres about one place"
         )
-    logs, grid = [], estimator.library.grid
+    logs, grid, unknown = [], estimator.library.grid, estimator.library.unknown
+    given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}
     for path, table in zip(args.flight, tables, strict=True):
-        flight = _flight(args, path, table, estimator.library.unknown)
+        settings = dict(table.settings) | given
+        for law, other in (("response_time", "drag"), ("drag", "response_time")):
+            if law in given and other not in given:
+                settings.pop(other, None)
+            if law in unknown and law not in settings:  # a flight needs one, that nothing reads
+                settings = {k: v for k, v in settings.items() if k != other} | {law: 1.0}
         with told_with(path):
+            flight = table.flight(vehicle_of(settings))
+            begin = flight.time[0] if args.begin is None else args.begin
+            end = flight.time[-1] if args.end is None else args.end
+            flight = flight.rows((flight.time >= begin) & (flight.time <= end))
             check_log(flight, smallest=grid.lower, largest=grid.upper, longest_gap=args.longest_gap)
         quality = LogQuality(flight, Derivative()(flight).smoothing)
         logs.append(ReadLog(path, flight, quality, table.notes))
     return logs
-
-
-def _flight(
-    args: argparse.Namespace, path: str, table: FlightTable, unknown: tuple[str, ...]
-) -> Flight:
-    """The flight of a table, its vehicle as in the file unless the command line says otherwise."""
-    from sparsefit.logs.flight_table import vehicle_of
-
-    given = {name: getattr(args, name) for name in VEHICLE if getattr(args, name) is not None}
-    settings = dict(table.settings) | given
-    for law, other in (("response_time", "drag"), ("drag", "response_time")):
-        if law in given and other not in given:
-            settings.pop(other, None)
-        if law in unknown and law not in settings:  # a flight needs one, that nothing reads
-            settings = {k: v for k, v in settings.items() if k != other} | {law: 1.0}
-    with told_with(path):
-        flight = table.flight(vehicle_of(settings))
-        begin, end = (getattr(args, name) for name in ("begin", "end"))
-        late = flight.time >= (flight.time[0] if begin is None else begin)
-        return flight.rows(late & (flight.time <= (flight.time[-1] if end is None else end)))
 
 
 def estimator_of(args: argparse.Namespace) -> Estimator:

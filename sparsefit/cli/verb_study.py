@@ -80,15 +80,15 @@ def read_study(args: argparse.Namespace) -> Study:
     return Study.from_file(args.study, results=args.results)
 
 
-def stored(args: argparse.Namespace, *, whole: bool) -> tuple[Study, RunSummary]:
-    """The study and its state; whole: all of its cases are needed, else some.
+def finished(args: argparse.Namespace) -> tuple[Study, RunSummary]:
+    """The study and its state.
 
     Raises:
-        InputError: with the command that runs those that are not there.
+        InputError: with the command that runs the cases that are not there.
     """
     study = read_study(args)
     state = study.status()  # refuses the results of another study
-    if not (state.finished if whole else state.done):
+    if not state.finished:
         there = f"{state.done} of {state.planned} cases are there; run them first"
         raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}")
     return study, state
@@ -177,21 +177,22 @@ def errors(args: argparse.Namespace) -> Reply:
     """List the cases that are not ok, grouped by candidate, status and reason."""
     from sparsefit.study import tables
 
-    study, state = stored(args, whole=False)
+    study = read_study(args)
     groups = tables.failures(study.cases).reset_index()
-    done = {"done": state.done, "planned": state.planned, "not_ok": int(groups["cases"].sum())}
+    counts = {"done": len(study.cases), "planned": study.planned.size}
+    counts |= {"not_ok": int(groups["cases"].sum())}
     keys = {"cases": "cases", "status": "status", "title": "label", "reason of it": "reason",
             "first case": "first_case"}  # fmt: skip
     found = groups[[*keys]].rename(columns=keys).to_dict("records")
-    return Reply({"study": study.name, **done, "groups": found})
+    return Reply({"study": study.name, **counts, "groups": found})
 
 
 def show(args: argparse.Namespace) -> Reply:
     """Print the tables of a study, also unfinished; or run one case again."""
     from sparsefit.study import page, tables
 
+    study = read_study(args)
     if args.case is not None:  # its picture is written, its numbers beside the stored
-        study = read_study(args)
         if args.output is not None:
             endings = (".svg", ".png", ".pdf")
             terminal.check_output(args.output, force=args.force, endings=endings)
@@ -201,7 +202,6 @@ def show(args: argparse.Namespace) -> Reply:
         record = {"case": args.case, "picture": drawn, **table.record()}
         written = [f"written to {drawn}"] if drawn else []
         return Reply(record, [table.to_text(terminal_width()), *written])
-    study, _ = stored(args, whole=False)
     cases, width = study.cases, terminal_width()
     if not args.table and not args.json:
         return Reply({}, [page.show(study, cases, width=width).rstrip("\n")])
@@ -214,7 +214,7 @@ def report(args: argparse.Namespace) -> Reply:
     """Write tables, figures and report again from the stored cases."""
     from sparsefit.study import page
 
-    study, state = stored(args, whole=True)
+    study, state = finished(args)
     _warn(state.stale, STALE)
     written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
     said = {"headline": headline, "files": len(written), "report": written[-1]}

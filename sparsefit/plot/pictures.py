@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array
 from sparsefit.flight import Flight
 from sparsefit.flight.waves import FlowField
+from sparsefit.logs.checks import gaps_of
 from sparsefit.plot.style import COLOURS, GREY, labels, logarithmic, panels, styled, wrapped
 
 if TYPE_CHECKING:
@@ -184,12 +185,6 @@ def along_track(
     return samples, air, air - estimate.flow.velocity(x, y, samples.time)
 
 
-def _gaps(time: Array) -> IntArray:
-    """Return the indices of the samples after a gap."""
-    steps = np.diff(time)
-    return np.flatnonzero(steps > 3.0 * np.median(steps)) + 1
-
-
 def draw_residual(
     axes: Axes, samples: Samples, air: Array, less: Array | None, several: str = ""
 ) -> None:
@@ -197,7 +192,7 @@ def draw_residual(
     words = "velocity of the air" if less is None else "residual"
     axes.set_title(f"{words}{several}{', no flow found' * (less is None)}")
     scale, unit = axis_unit(float(np.abs(samples.time).max()), "s")
-    residual, gaps = air if less is None else less, _gaps(samples.time)
+    residual, gaps = air if less is None else less, np.flatnonzero(gaps_of(samples.time)) + 1
     time, shown = np.insert(samples.time, gaps, np.nan), np.insert(residual, gaps, np.nan, axis=0)
     for place, name in enumerate("xy"):  # no line over a gap
         axes.plot(time / scale, shown[:, place], color=COLOURS[place], lw=0.7, label=name)
@@ -218,7 +213,7 @@ def draw_spectrum(
     at which the vehicle crosses cells, speed over 2 L.
     """
     axes.set_title("spectrum")
-    piece = max(np.split(np.arange(len(air)), _gaps(samples.time)), key=len)
+    piece = max(np.split(np.arange(len(air)), np.flatnonzero(gaps_of(samples.time)) + 1), key=len)
     if len(piece) < 64:
         axes.text(0.5, 0.5, "too few samples", transform=axes.transAxes, ha="center")
         axes.set_axis_off()

@@ -13,13 +13,12 @@ import numpy as np
 
 from sparsefit.codec import finite_or_none
 from sparsefit.plot.style import GREY, logarithmic, styled, wrapped
-from sparsefit.study.figures import Picture
+from sparsefit.study.figures import Curve, Panel, Picture, drawn
 from sparsefit.study.measures import factors
-from sparsefit.study.page import Code, drawing, files_of, joined, linked, to_html
-from sparsefit.study.panels import Curve, Panel, drawn
+from sparsefit.study.page import drawing, files_of, joined, linked, to_html
 from sparsefit.study.selection import Selection, headline, lines, verdict
 from sparsefit.study.table import Column, Row, Table
-from sparsefit.study.tables import FAILURES
+from sparsefit.study.tables import FAILURES, Cells
 from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
@@ -28,133 +27,118 @@ if TYPE_CHECKING:
 
 def tables(selection: Selection) -> dict[str, Table]:
     """Return the tables of candidates and regimes and, if measured, of latency."""
-    criterion, study = selection.criterion, selection.study
-    unit, is_split = criterion.measure.unit, len(selection.units) > 1
+    criterion, study, unit = selection.criterion, selection.study, selection.criterion.measure.unit
     ranked = sorted(selection.ranked, key=lambda each: each is not selection.chosen)
-    said = [verdict(selection, each) for each in ranked]
+    rows, by_regime, timed = list[Cells](), list[Row](), list[Cells]()
 
-    def scores(*names: str, group: str = "") -> list[Column]:
-        return [Column(name, unit, group=group, least=criterion.measure.least) for name in names]
+    def scored(name: str, group: str = "") -> Column:
+        return Column(name, unit, group=group, least=criterion.measure.least)
 
-    scored, apart = ("evaluate", "validate") if is_split else ("score", "difference")
-    heads = [*map(Column, ("rank", "candidate", "verdict"))]
-    heads += scores("criterion", "from", "to", group=scored)
-    heads += scores("criterion", group=apart) if is_split else []
-    heads += [Column(name, unit, group=apart) for name in ("worse by", "from", "to")]
-    rows: list[Row] = []
-    for place, (each, words) in enumerate(zip(ranked, said, strict=True), 1):
-        row = [str(place), each.title, words, each.evaluate, *each.between]
-        row += [each.validate] if is_split else []
-        row += [None] * 3 if each.apart is None else astuple(each.apart)[:3]
-        rows.append(tuple(row))
-    for title, why in selection.refused.items():
-        rows.append(("–", title, f"not on board: {why}", *[None] * (len(heads) - 3)))
-    ranking = Table(f"Candidates of the selection ({study})", tuple(heads), rows, (
+    is_split = len(selection.units) > 1
+    first, last = ("validate", "evaluate") if is_split else ("difference", "score")
+    for place, each in enumerate(ranked, 1):
+        names: Cells = {Column("candidate"): each.title}
+        of: Cells = names | {Column("verdict"): verdict(selection, each)}
+        gap = (None, None, None) if each.apart is None else astuple(each.apart)[:3]
+        rows.append({
+            Column("rank"): str(place), **of, scored("criterion", last): each.evaluate,
+            **dict(zip((scored("from", last), scored("to", last)), each.between, strict=True)),
+            **({scored("criterion", first): each.validate} if is_split else {}),
+            **{Column(name, unit, group=first): value
+               for name, value in zip(("worse by", "from", "to"), gap, strict=True)},
+        })  # fmt: skip
+        by_regime.append((*of.values(), *each.by_regime.tolist(), each.evaluate))
+        if seen := selection.latencies.get(each.candidate):
+            timed.append(names | {
+                Column("median", "ms", varies=True): 1e3 * seen["median"],
+                Column("99th percentile", "ms", varies=True): 1e3 * seen["p99"],
+                Column("peak memory", "MB", ".0f", varies=True): seen["memory"],
+                Column("disturbed", "%", ".0f", varies=True): 100.0 * seen["busy"],
+            })  # fmt: skip
+    rows += [
+        {Column("rank"): "–", Column("candidate"): title, Column("verdict"): f"not on board: {why}"}
+        for title, why in selection.refused.items()
+    ]
+    made = {"selection": Table.of_cells(f"Candidates of the selection ({study})", rows, (
         f"Criterion: {criterion.words}. {FAILURES * (criterion.measure.miss is not None)}".strip(),
         "Worse by: than the chosen. Intervals: 95 %, by bootstrap over the same "
         f"{selection.unit}s for all.",
-    ))  # fmt: skip
-    by_regime: list[Row] = [
-        (each.title, words, *each.by_regime.tolist(), each.evaluate)
-        for each, words in zip(ranked, said, strict=True)
-    ]
-    heads = [*map(Column, ("candidate", "verdict")), *scores(*criterion.regimes, "all")]
-    made = {
-        "selection": ranking,
-        "regimes": Table(
-            f"Regimes ({study})", tuple(heads), by_regime * (len(criterion.regimes) > 1)
-        ),
-        "latency": _latencies(selection, ranked),
-    }
-    return {name: each for name, each in made.items() if each.rows}
-
-
-def _latencies(selection: Selection, ranked: Sequence[Any]) -> Table:
-    """Return the table of the candidates that were timed."""
-    rows: list[Row] = [
-        (each.title, 1e3 * seen["median"], 1e3 * seen["p99"], seen["memory"], 100.0 * seen["busy"])
-        for each in ranked
-        if (seen := selection.latencies.get(each.candidate))
-    ]
-    columns = (
-        Column("candidate"),
-        *(Column(name, "ms", varies=True) for name in ("median", "99th percentile")),
-        Column("peak memory", "MB", ".0f", varies=True),
-        Column("disturbed", "%", ".0f", varies=True),
-    )
-    note = (
-        "One flight at a time in a process of its own with BLAS on one thread, after a warm-up. "
-        "Disturbed: flights during which other programs had the core."
-    )
-    return Table(f"Latency and memory ({selection.study})", columns, rows, (note,))
+    ))}  # fmt: skip
+    if len(criterion.regimes) > 1:
+        heads = (*of, *map(scored, (*criterion.regimes, "all")))  # one may be called "all", too
+        made["regimes"] = Table(f"Regimes ({study})", heads, by_regime)
+    if timed:
+        made["latency"] = Table.of_cells(f"Latency and memory ({study})", timed, (
+            "One flight at a time in a process of its own with BLAS on one thread, after a warm-up."
+            " Disturbed: flights during which other programs had the core.",
+        ))  # fmt: skip
+    return made
 
 
 def record(selection: Selection, check: Selection | None = None) -> dict[str, Any]:
-    """Return the selection for JSON."""
+    """Return the selection for JSON; check: the same candidates on flights of fresh seeds."""
     made, chosen, cases = tables(selection), selection.chosen, selection.cases
-    of: dict[str, Any] = {name: getattr(selection, name) for name in ("study", "units", "refused")}
-    of |= {"rule": asdict(selection.rule), "criterion": selection.criterion.words}
-    of |= {"unit": selection.criterion.measure.unit, "summary": headline(selection)}
-    of |= {"candidates": len(selection.ranked), "eligible": len(selection.passing)}
-    of |= {"tied": [each.title for each in selection.tied]}
-    of |= {"table": made["selection"].record()}
-    of |= {"regimes": made["regimes"].record() if "regimes" in made else None}
+    of: dict[str, Any] = {
+        **{name: getattr(selection, name) for name in ("study", "units", "refused")},
+        "rule": asdict(selection.rule), "criterion": selection.criterion.words,
+        "unit": selection.criterion.measure.unit, "summary": headline(selection),
+        "candidates": len(selection.ranked), "eligible": len(selection.passing),
+        "tied": [each.title for each in selection.tied], "table": made["selection"].record(),
+        "regimes": made["regimes"].record() if "regimes" in made else None,
+    }  # fmt: skip
     if chosen is not None:
         row = cases[cases["candidate"] == chosen.candidate].iloc[0]
         own = [name for name in factors(cases) if not name.startswith("flights.")]
         regimes = zip(selection.criterion.regimes, chosen.by_regime.tolist(), strict=True)
         names = ("candidate", "title", "backend", "validate", "evaluate")
-        of |= {name: getattr(chosen, name) for name in names}
-        of |= {"protocol": row.get("reading", row.get("protocol", ""))}
-        of |= {"settings": json.loads(row["settings"])}
-        of |= {"factors": {name: str(row[name]) for name in own}}
-        of |= {"interval": chosen.between, "by_regime": dict(regimes)}
-        of |= {"regret": selection.regret.effect if selection.regret else None}
-        of |= {"latency": selection.latencies.get(chosen.candidate)}
-        of |= {"check": _checked(check) if check else None}
+        of |= {name: getattr(chosen, name) for name in names} | {
+            "protocol": row.get("reading", row.get("protocol", "")),
+            "settings": json.loads(row["settings"]),
+            "factors": {name: str(row[name]) for name in own},
+            "interval": chosen.between, "by_regime": dict(regimes),
+            "regret": selection.regret.effect if selection.regret else None,
+            "latency": selection.latencies.get(chosen.candidate), "check": None,
+        }  # fmt: skip
+    if check is not None:
+        (units,), best = check.units.values(), check.hindsight
+        of["check"] = {
+            "units": units, "candidates": len(check.ranked),
+            "score": check.chosen.evaluate, "between": check.chosen.between,
+            "broken": [asdict(breach) for breach in check.chosen.broken],
+            "regret": asdict(check.regret) if check.regret else None,
+            "hindsight": best.title if best else None,
+        }  # fmt: skip
     cleaned: dict[str, Any] = finite_or_none(of)
     return cleaned
-
-
-def _checked(check: Selection) -> dict[str, Any]:
-    """Return what the chosen candidate scored on fresh flights, for JSON."""
-    (units,), chosen, best = check.units.values(), check.chosen, check.hindsight
-    of: dict[str, Any] = {"units": units, "candidates": len(check.ranked)}
-    of |= {"score": chosen.evaluate, "between": chosen.between}
-    of |= {"broken": [asdict(breach) for breach in chosen.broken]}
-    of |= {"regret": asdict(check.regret) if check.regret else None}
-    return of | {"hindsight": best.title if best else None}
 
 
 def provenance(study: Any, selection: Selection) -> dict[str, Any]:
     """Return the origin of an estimator for its file: study, rule and evidence."""
     if selection.chosen is None:
         return {}
-    of = record(selection)
-    tables = ("table", "regimes")
-    evidence = {name: value for name, value in of.items() if name not in tables}
-    return {"study_hash": study.hash, "seed": study.seed, **evidence}
+    evidence = {"study_hash": study.hash, "seed": study.seed, **record(selection)}
+    return {name: value for name, value in evidence.items() if name not in ("table", "regimes")}
 
 
 def pareto(selection: Selection) -> Picture:
     """Return the figure of accuracy against latency of the timed candidates, with their front."""
+    figure = _drawn(selection)
+    return Picture(figure, "No candidate was timed." if figure is None else (
+        "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
+        "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
+        "constraint."
+    ))  # fmt: skip
+
+
+@styled
+def _drawn(selection: Selection) -> Figure | None:
+    """Draw the criterion of candidates against their latencies, median to 99th percentile [ms]."""
+    criterion = selection.criterion
     timed = [
         (each, 1e3 * seen["median"], 1e3 * seen["p99"])
         for each in selection.ranked
         if (seen := selection.latencies.get(each.candidate)) and math.isfinite(seen["median"])
     ]
-    caption = (
-        "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
-        "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
-        "constraint."
-    )
-    return Picture(_drawn(selection, timed), caption if timed else "No candidate was timed.")
-
-
-@styled
-def _drawn(selection: Selection, timed: Sequence[tuple[Any, float, float]]) -> Figure | None:
-    """Draw the criterion of candidates against their latencies, median and 99th percentile [ms]."""
-    criterion = selection.criterion
     y_label = wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50)
     points = [Curve(each.title, np.array([x]), np.array([each.evaluate])) for each, x, _ in timed]
     style = {"ls": "", "ms": 5.0}
@@ -187,7 +171,7 @@ def write_selection(
     files = files_of(study.name, made, {"pareto": picture})
     shown = drawing("pareto", picture, files.get("pareto.svg", b""))
     sections: dict[str, Sequence[Any]] = {
-        "Why": [said, Code("The rule", json.dumps(asdict(selection.rule), indent=1))],
+        "Why": [said, {"title": "The rule", "code": json.dumps(asdict(selection.rule), indent=1)}],
         "Candidates": [made["selection"]],
         "Accuracy and latency": [shown, made["latency"]] if "latency" in made else [],
         "Regimes": [made["regimes"]] if "regimes" in made else [],

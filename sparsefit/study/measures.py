@@ -80,14 +80,16 @@ def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
     return np.where(count > 0, np.where(exact, first, between), np.nan)
 
 
-def by_unit(values: Array, units: pd.Series) -> Array:
-    """Return the values (rows,) of cases of units (rows,) as an array (units, cases of a unit)."""
+def gridded(values: Array, places: Sequence[IntArray], shape: Sequence[int]) -> Array:
+    """Return values (rows,) by their places, each (rows,), in an array (*shape, rows of a place).
+
+    NaN where a place has fewer rows.
+    """
     import pandas as pd
 
-    place, rows = pd.factorize(units)
-    within = units.groupby(units, sort=False).cumcount().to_numpy()
-    grid = np.full((len(rows), int(within.max(initial=-1)) + 1), np.nan)
-    grid[place, within] = values
+    within = pd.Series(values).groupby([*places], sort=False).cumcount().to_numpy()
+    grid = np.full((*shape, int(within.max(initial=-1)) + 1), np.nan)
+    grid[(*places, within)] = values
     return grid
 
 

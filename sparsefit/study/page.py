@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sparsefit.errors import InputError
 from sparsefit.plot.style import encoded
@@ -35,26 +35,7 @@ if TYPE_CHECKING:
 
 
 Files: TypeAlias = dict[str, bytes]  # by name
-
-
-class Drawing(NamedTuple):
-    """A figure of a page: its SVG, and one with linear axes if some are logarithmic.
-
-    lines: the legend of each line by its id in the SVG.
-    """
-
-    title: str
-    caption: str
-    svg: str
-    linear: str
-    lines: Mapping[str, str]
-
-
-class Code(NamedTuple):
-    """A preformatted text that can be unfolded."""
-
-    title: str
-    code: str
+Part: TypeAlias = dict[str, Any]  # of a page, a figure or a text to unfold, as in page.html
 
 
 def to_html(name: str, question: str, answer: str,
@@ -62,7 +43,8 @@ def to_html(name: str, question: str, answer: str,
     """Return the HTML of a page with sortable tables and figures whose lines can be hidden.
 
     Args:
-        sections: parts by heading: texts, lists of texts, tables, drawings and code.
+        sections: parts by heading: texts, lists of texts, tables, drawings and, with `title` and
+            `code`, preformatted texts that can be unfolded.
     """
     import jinja2
 
@@ -76,8 +58,12 @@ def to_html(name: str, question: str, answer: str,
                            progress=progress, script=script, digest=digest, most=500)  # fmt: skip
 
 
-def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
-    """Return a figure as a part of a page, or its caption; `svg`: the figure if already encoded."""
+def drawing(name: str, picture: Picture, svg: bytes = b"") -> Part | str:
+    """Return a figure as a part of a page, or its caption; `svg`: the figure if already encoded.
+
+    The part has the `svg`, a `linear` one if some axes are logarithmic, and the legend of each line
+    by its id in the SVG.
+    """
     figure = picture.figure
     if figure is None or not (svg := svg or encoded(figure, ".svg", name)):
         return picture.caption
@@ -93,7 +79,9 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
         for artist in (*axes.lines, *axes.collections):
             if artist.get_gid() and not str(artist.get_label()).startswith("_"):
                 lines.setdefault(str(artist.get_gid()), str(artist.get_label()))
-    vector, linear = inline(svg), ""
+    others = {gid: lines.pop(gid) for gid in ("line-others",) if gid in lines}
+    part = {"title": name.replace("-", " ").replace("_", " ").capitalize(),
+            "caption": picture.caption, "svg": inline(svg), "lines": lines | others}  # fmt: skip
     turned = [
         (axes, axis, view) for axes in figure.axes if lines
         for axis, view in (("x", axes.get_xlim()), ("y", axes.get_ylim()))
@@ -102,9 +90,8 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Drawing | str:
     for axes, axis, view in turned:
         axes.set(**{f"{axis}scale": "linear", f"{axis}lim": (0.0, view[1])})
     if turned:
-        linear = inline(encoded(figure, ".svg", f"{name}-linear"))
-    title = name.replace("-", " ").replace("_", " ").capitalize()
-    return Drawing(title, picture.caption, vector, linear, lines)
+        part["linear"] = inline(encoded(figure, ".svg", f"{name}-linear"))
+    return part
 
 
 def load() -> None:
@@ -217,8 +204,8 @@ def write(study: Any) -> list[Path]:
     files = files_of(study.name, made, pictures)
     answer, state = headline(study, cases), progress(study, cases)
     steady = [each for each in made.values() if "objective" in cases or not each.varies]
-    run: list[Code | Table] = [
-        Code(f"The {words}, {file.name}", file.read_text(encoding="utf-8"))
+    run: list[Part | Table] = [
+        {"title": f"The {words}, {file.name}", "code": file.read_text(encoding="utf-8")}
         for words, file in (("study file", Path(study.path)), ("script", script_of(study)))
         if file is not None and file.is_file()
     ]
@@ -236,33 +223,24 @@ def write(study: Any) -> list[Path]:
     }  # fmt: skip
     page = to_html(study.name, study.question, answer, sections, state)
     files |= {"report.html": page.encode()}
-    files["README.md"] = readme(study, [answer, state], made, pictures, files)
-    return write_files(study.folder, files)
-
-
-def readme(study: Any, said: Sequence[str], made: Mapping[str, Table],
-           pictures: Mapping[str, Picture], files: Mapping[str, bytes]) -> bytes:  # fmt: skip
-    """Return the README: question, headline, figures, and tables as far as 700 words go.
-
-    said: the headline and the counts; made, pictures: by name; files: those that are written.
-    """
-    words = (study.name, study.question, said[0])
-    name, question, answer = (text.translate(MARKDOWN) for text in words)
-    written = f"{said[1]} Written by `sparsefit study report`; do not edit."
-    parts, shown, texts = [f"# {name}", f"**{question}**", answer, written], [], []
-    for name, picture in pictures.items():
-        caption = picture.caption.translate(MARKDOWN)
-        file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
-        shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
-    room = 700 - sum(len(part.split()) for part in (*parts, *shown))
-    for name, each in made.items():
-        fitting = (each.to_markdown(rows, f"{name}.csv") for rows in (60, 30, 15, 8))
-        text = next((text for text in fitting if len(text.split()) <= room), "")
+    texts = [text.translate(MARKDOWN) for text in (study.name, study.question, answer)]
+    parts = ["# {}\n\n**{}**\n\n{}".format(*texts),
+             f"{state} Written by `sparsefit study report`; do not edit."]  # fmt: skip
+    shown = [
+        f"![{name}]({name}.{'svg' if f'{name}.svg' in files else 'png'})\n\n*{caption}*"
+        if picture.figure else caption
+        for name, picture in pictures.items() for caption in [picture.caption.translate(MARKDOWN)]
+    ]  # fmt: skip
+    room, fitting = 700 - sum(len(part.split()) for part in (*parts, *shown)), list[str]()
+    for name, each in made.items():  # as far as 700 words go
+        lengths = (each.to_markdown(rows, f"{name}.csv") for rows in (60, 30, 15, 8))
+        text = next((text for text in lengths if len(text.split()) <= room), "")
         if text and not each.varies:
-            texts.append(text)
+            fitting.append(text)
             room -= len(text.split())
-    parts += [*texts, *shown] if "prediction" in made else [*shown, *texts]
-    return joined([*parts, linked(made)])
+    parts += [*fitting, *shown] if "prediction" in made else [*shown, *fitting]
+    files["README.md"] = joined([*parts, linked(made)])
+    return write_files(study.folder, files)
 
 
 def write_case(study: Any, case_id: str, file: Path) -> Table:

@@ -134,7 +134,7 @@ def select(
     places = range(len(order))
     values: dict[str, Any] = {
         "validate": criterion.sign * first.loss, "evaluate": criterion.sign * last.loss,
-        "between": [last.score(at)[1] for at in places],
+        "between": list(map(last.between, places)),
         "by_regime": list(criterion.by_regime(last.values)),
         "breaches": breaches, "broken": broken,
         "within": [at in within for at in places],
@@ -159,26 +159,27 @@ def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
     Factors that a reading sets are part of its name. A label that several candidates of a reading
     share is replaced by what their titles say.
     """
-    rows = cases.drop_duplicates("candidate").reset_index(drop=True)
-    named = rows["reading" if "reading" in rows else "protocol"] if "protocol" in rows else ""
-    rows = rows.assign(reading=named)
-    own = [name for name in factors(rows) if not name.startswith(("flights.", "problems."))]
-    own = [name for name in own if rows.groupby("reading")[name].nunique(dropna=False).max() > 1]
-    labels = rows["label"].mask(rows["label"] == "", rows["backend"])
-    only_default = (rows["reading"] == "default").all()
-    words = [[] if only_default else [name] for name in rows["reading"]]
-    for name in own:
-        for parts, level in zip(words, rows[name], strict=True):
-            parts.append(f"{factor_words(name)} {level}")
+    frame = cases.drop_duplicates("candidate").reset_index(drop=True)
+    named = frame["reading" if "reading" in frame else "protocol"] if "protocol" in frame else ""
+    frame = frame.assign(
+        reading=named, label=frame["label"].mask(frame["label"] == "", frame["backend"])
+    )
+    own = [
+        name for name in factors(frame) if not name.startswith(("flights.", "problems."))
+        and frame.groupby("reading")[name].nunique(dropna=False).max() > 1
+    ]  # fmt: skip
     backends = [  # of `reading: back-end with levels`
         title.removeprefix(f"{reading}: ").partition(" with ")[0]
-        for title, reading in zip(rows["title"], rows["reading"], strict=True)
+        for title, reading in zip(frame["title"], frame["reading"], strict=True)
     ]
-    frame = rows[["candidate", "title", "backend"]].assign(
-        reading=[", ".join(filter(None, parts)) for parts in words], label=labels
-    )
+    if (frame["reading"] == "default").all():
+        frame["reading"] = ""
+    for name in own:
+        frame["reading"] += [f", {factor_words(name)} {level}" for level in frame[name]]
+    frame["reading"] = frame["reading"].str.removeprefix(", ")
     alike = frame.duplicated(["reading", "label"], keep=False)
-    return frame.assign(label=frame["label"].mask(alike, backends))
+    frame["label"] = frame["label"].mask(alike, backends)
+    return frame[["candidate", "title", "backend", "reading", "label"]]
 
 
 def check_rule(study: Any) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.study.arena import ACCURACIES
 from sparsefit.study.measures import interval, mean, pooled
-from sparsefit.study.table import Column, Row, Table, Value, significant
+from sparsefit.study.table import Column, Table, Value, significant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -108,12 +108,9 @@ def summary(cases: pd.DataFrame) -> Table:
     """Return verdict, success, mean time and ratio to the fastest by objective and solver."""
     levels = accuracies(cases)[::-1]  # the strictest first: it gives order and verdict
     limit = cases.attrs.get("limit", LIMIT)
-    columns, rows = [*map(Column, ("objective", "solver", "verdict"))], dict[Row, list[Value]]()
+    rows, names = dict[tuple[str, str], dict[Column, Value]](), ("objective", "solver", "verdict")
     for level in levels:
         to = f"to {accuracy_text(level)}"
-        timed = (("mean time", "ms"), ("× fastest", ""), ("95 %", ""))
-        columns += [Column("solved", group=to)]
-        columns += [Column(name, unit, group=to, varies=True) for name, unit in timed]
         for objective, seconds in times_to(cases, level).items():
             charged = seconds.clip(upper=limit).to_numpy().T
             for place, (name, own) in enumerate(zip(seconds, charged, strict=True)):
@@ -126,11 +123,17 @@ def summary(cases: pd.DataFrame) -> Table:
                 mean = 1e3 * float(np.exp(np.log(own + SHIFT).mean()) - SHIFT)
                 times = f"{'' if solved.all() else '≥ '}{significant(middle)}"
                 ends = f"{significant(low)} … {significant(high)}" if is_sure else "–"
-                cells: list[Value] = [f"{solved.sum()}/{len(own)}", mean, times, ends]
-                rows.setdefault((objective, str(name)), [verdict]).extend(cells)
+                key = (objective, str(name))
+                row = rows.setdefault(
+                    key, dict(zip(map(Column, names), (*key, verdict), strict=True))
+                )
+                row[Column("solved", group=to)] = f"{solved.sum()}/{len(own)}"
+                row[Column("mean time", "ms", group=to, varies=True)] = mean
+                row[Column("× fastest", group=to, varies=True)] = times
+                row[Column("95 %", group=to, varies=True)] = ends
     absent = cases.loc[cases["status"] == "skipped", ["objective", "solver"]]
     for key in absent.itertuples(index=False, name=None):
-        rows.setdefault(key, ["missing", *[None] * (4 * len(levels))])
+        rows.setdefault(key, dict(zip(map(Column, names), (*key, "missing"), strict=True)))
     note = (
         "solved: problems with a certified excess, relative to the objective at zero, within the "
         f"accuracy. mean time: geometric mean of wall times, shifted by {1e3 * SHIFT:g} ms; an "
@@ -138,8 +141,8 @@ def summary(cases: pd.DataFrame) -> Table:
         f" 95 %: interval of × fastest over problems. Verdict: to {accuracy_text(levels[0])}."
     )
     order = list(dict.fromkeys(cases["objective"]))
-    every = [(*key, *rows[key]) for key in sorted(rows, key=lambda key: order.index(str(key[0])))]
-    return Table("Solvers: success and time", tuple(columns), every, (note,))
+    every = [rows[key] for key in sorted(rows, key=lambda key: order.index(key[0]))]
+    return Table.of_cells("Solvers: success and time", every, (note,))
 
 
 def headline(cases: pd.DataFrame) -> str:

@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -132,6 +132,14 @@ class Table:
         )  # fmt: skip
         rows = [tuple(map(plain, row)) for row in frame.itertuples(index=False)]
         return cls(title, columns, rows, notes)
+
+    @classmethod
+    def of_cells(
+        cls, title: str, rows: Sequence[Mapping[Column, Value]], notes: Sequence[str] = ()
+    ) -> Table:
+        """Return rows of cells by column as a table; a cell that a row lacks is empty."""
+        columns = tuple(dict.fromkeys(column for row in rows for column in row))
+        return cls(title, columns, [tuple(map(row.get, columns)) for row in rows], tuple(notes))
 
     @property
     def varies(self) -> bool:

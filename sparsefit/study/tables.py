@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -18,12 +18,13 @@ from sparsefit.study import entries, measures, solver_times
 from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import Entry, Options, level_text
 from sparsefit.study.measures import MEASURES, SYMBOLS, Measure
-from sparsefit.study.table import Column, Row, Table, Value, listed
+from sparsefit.study.table import Column, Table, Value, listed
 from sparsefit.study.trials import unit_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
+Cells: TypeAlias = dict[Column, Value]
 FAILURES = "In a quantile, a failure counts as worse than any number; in a mean, as 100 %."
 
 
@@ -39,19 +40,21 @@ class Part(NamedTuple):
     each: Measure | None = None
     interval: bool = False
 
-    def cells(self, cases: pd.DataFrame, places: IntArray) -> list[Value]:
+    def cells(self, cases: pd.DataFrame, places: IntArray) -> Cells:
         """Return the summary of a group of cases, and the ends of its interval."""
-        here, each = self.values[places], self.each
-        if each is None:
-            return [int(here.sum())]
-        if not self.interval:
-            return [each.summary_of(here)]
-        grid = measures.by_unit(here, cases["flight"].iloc[places])
+        here, each, column = self.values[places], self.each, self.column
+        if each is None or not self.interval:
+            return {column: int(here.sum()) if each is None else each.summary_of(here)}
+        unit, units = cases["flight"].iloc[places].factorize()
+        grid = measures.gridded(here, [unit], [len(units)])
         if each.summary == "share" and grid.shape[1] == 1:
             ends = measures.wilson(np.nansum(here), (~np.isnan(here)).sum())
         else:
             ends = measures.interval(measures.pooled(each.reduce), grid)
-        return [each.summary_of(here), *ends]
+        before = f"{column.name} " if column.group else ""
+        below = replace(column, group=column.group or column.name)
+        columns = (column, *(replace(below, name=f"{before}{end}") for end in ("from", "to")))
+        return dict(zip(columns, (each.summary_of(here), *ends), strict=True))
 
 
 def column_of(each: Measure) -> Column:
@@ -88,21 +91,15 @@ def summarised(
     entry: Entry, cases: pd.DataFrame, names: Sequence[str], parts: Sequence[Part], *notes: str
 ) -> Table:
     """Return a row per group of cases by `names`, and a column per part with any number."""
-    parts = [part for part in parts if not np.isnan(part.values).all()]
-    columns = [*map(Column, names)]
-    for part in parts:
-        columns.append(part.column)
-        group, name = part.column.group or part.column.name, part.column.name
-        for end in ("from", "to") if part.interval else ():
-            head = f"{name} {end}" if part.column.group else end
-            columns.append(replace(part.column, name=head, group=group))
-    rows: list[Row] = [
-        (*map(level_text, key), *(cell for part in parts for cell in part.cells(cases, places)))
-        for key, places in entries.grouped(cases, names)
-    ]
+    parts, rows = [part for part in parts if not np.isnan(part.values).all()], list[Cells]()
+    for key, places in entries.grouped(cases, names):
+        rows.append(dict(zip(map(Column, names), map(level_text, key), strict=True)))
+        for part in parts:
+            rows[-1] |= part.cells(cases, places)
     title = entry.title or entry.name.replace("-", " ").capitalize() or "Measures"
+    made = Table.of_cells(title, rows, (*entry.notes, *notes))
     measured = any(part.each for part in parts) or not entry.measures
-    return Table(title, tuple(columns), rows if measured else [], (*entry.notes, *notes))
+    return made if measured else replace(made, rows=())
 
 
 def _count(name: str, mask: BoolArray, group: str = "") -> Part:

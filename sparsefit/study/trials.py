@@ -158,13 +158,10 @@ class Trials:
 
         self.cases, self.candidates, self.criterion = cases, candidates, criterion
         candidate = pd.Index(candidates).get_indexer(pd.Index(cases["candidate"]))
-        unit, units = pd.factorize(cases["flight"])
         regime = pd.Index(criterion.regimes).get_indexer(pd.Index(regimes_of(cases)))
-        keys = pd.DataFrame({"c": candidate, "u": unit, "r": regime})
-        within = keys.groupby(["c", "u", "r"]).cumcount().to_numpy()
-        self.at = (candidate, unit, regime, within)
-        self.shape = (len(candidates), len(units), len(criterion.regimes),
-                      int(within.max(initial=-1)) + 1)  # fmt: skip
+        unit, units = pd.factorize(cases["flight"])
+        self.at = (candidate, unit, regime)
+        self.shape = (len(candidates), len(units), len(criterion.regimes))
         self.values = self.grid(criterion.measure.values(cases))
         count = self.grid(np.ones(len(cases)))
         unequal = (np.isnan(count) != np.isnan(count[:1])).any(axis=(1, 2, 3))
@@ -182,15 +179,11 @@ class Trials:
 
     def grid(self, values: Array) -> Array:
         """Return values (rows,) as a grid, NaN where a regime has fewer cases."""
-        grid = np.full(self.shape, np.nan)
-        grid[self.at] = values
-        return grid
+        return measures.gridded(values, self.at, self.shape)
 
-    def score(self, at: int) -> tuple[float, tuple[float, float]]:
-        """Return the criterion of a candidate and its 95 % interval."""
-        sign = self.criterion.sign
-        low, high = sorted(sign * end for end in self.ends(self.drawn[at]))
-        return sign * float(self.loss[at]), (low, high)
+    def between(self, at: int) -> list[float]:
+        """Return the 95 % interval of the criterion of a candidate."""
+        return sorted(self.criterion.sign * end for end in self.ends(self.drawn[at]))
 
     def against(self, at: int, other: int) -> Difference:
         """Return the loss of a candidate less that of another, paired by unit."""

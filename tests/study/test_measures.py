@@ -4,7 +4,6 @@ import json
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 
@@ -159,8 +158,8 @@ def test_units_drawn_in_parts_are_the_same_units(monkeypatch):
     assert np.array_equal(resampled(lambda at: at.sum(axis=1), 7, resamples=50), whole)
 
 
-def test_values_by_unit():
-    grid = measures.by_unit(np.array([1.0, 2.0, 3.0]), pd.Series([4, 7, 4]))
+def test_values_on_a_grid():
+    grid = measures.gridded(np.array([1.0, 2.0, 3.0]), [np.array([0, 1, 0])], [2])
     np.testing.assert_allclose(grid, [[1.0, 3.0], [2.0, np.nan]])
 
 

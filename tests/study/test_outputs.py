@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.plot.style import COLOURS, encoded, labels
-from sparsefit.study import entries, figures, measures, page, panels, solver_times, tables
+from sparsefit.study import entries, figures, measures, page, solver_times, tables
 from sparsefit.study.keys import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
 from tests.study.frames import case, frame, solve, spread, study
@@ -238,7 +238,7 @@ class TestFigures:
         figure = drawn({"name": "x", "compare": "ecdf", "measure": ["length-scale-size"]}, cases)
         names = legend_of(figure)
         assert names[:3] == ["of 1", "of 2", "of 3"]
-        assert names[-1] == f"{15 - panels.NAMED_CURVES} others"
+        assert names[-1] == f"{15 - figures.NAMED_CURVES} others"
 
     def test_profiles_end_at_the_share_that_answered(self):
         cases = frame(*(case(n, (0.0, size)) for n, size in enumerate((0.5, 1.0, 2.0))),
