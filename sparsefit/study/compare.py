@@ -15,6 +15,7 @@ import pandas as pd
 
 from sparsefit.errors import InputError
 from sparsefit.study.columns import PARAMETERS
+from sparsefit.study.entries import factor_words, level_text
 from sparsefit.study.measures import factors, numbers
 from sparsefit.study.table import Table, significant
 
@@ -58,15 +59,16 @@ class Comparison:
     @property
     def tables(self) -> dict[str, Table]:
         """Changes by setting, and the changed cases, the largest change first."""
-        cases = self.cases
+        swept = {name: self.cases[name].map(level_text, "ignore") for name in factors(self.cases)}
+        cases = self.cases.assign(**swept)
         names = ["objective", "solver"] if "objective" in cases else ["protocol", "label"]
-        for name in (*factors(cases), "settings"):  # unless implied by the others
+        for name in (*swept, "settings"):  # unless implied by the others
             if cases.groupby(names, dropna=False)[name].nunique(dropna=False).max() > 1:
                 names.append(name)
         groups = cases.groupby(names, sort=False, dropna=False)
         settings = groups.size().to_frame("n").join(groups[[*COUNTS]].sum())
         settings["largest change [%]"] = groups["change"].agg(_largest)
-        settings = settings[settings["changed"] > 0]
+        settings = settings[settings["changed"] > 0].rename_axis(index=factor_words)
         settings.attrs = {"title": "Settings of which cases changed",
                           "notes": ["first: {}; second: {}".format(*self.names)]}  # fmt: skip
         shown = ["case_id", names[1], "status", "status, second", "change"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import runpy
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -18,7 +17,7 @@ import numpy as np
 from sparsefit.arrays import IntArray
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, suggestion, unknown
-from sparsefit.study.measures import Measure, factors, measure, numbers, numeric_factors
+from sparsefit.study.measures import Measure, measure, numbers, numeric_factors
 from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import Range, key
 from sparsefit.study.solver_times import is_race
@@ -180,11 +179,7 @@ def asked(
 
 
 def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:
-    """Refuse a column that the cases do not have, with the nearest that they do.
-
-    Raises:
-        InputError: with the key of the entry that names it.
-    """
+    """Raise `InputError` with the nearest name if the cases lack a column; key: what names it."""
     for name in names:
         if name not in cases:
             near = suggestion(name, map(str, cases.columns))
@@ -219,15 +214,11 @@ def levels_of(cases: pd.DataFrame, factor: str) -> pd.Series:
     """Return a column as text, categories in order: numbers ascending, others as they appear."""
     import pandas as pd
 
-    if factor not in cases:
-        raise InputError(f'no factor "{factor}" is swept{suggestion(factor, factors(cases))}')
-    codes, values = pd.factorize(cases[factor], use_na_sentinel=False)
-    words = [level_text(plain(value)) for value in values]
-    order = np.arange(len(values))
-    if pd.api.types.is_numeric_dtype(cases[factor]):
-        order = np.argsort(np.where(pd.isna(values), math.inf, values), kind="stable")
-    kinds = pd.CategoricalDtype(list(dict.fromkeys(words[at] for at in order)), ordered=True)
-    return pd.Series(np.array(words, dtype=object)[codes], cases.index).astype(kinds)
+    is_number = pd.api.types.is_numeric_dtype(cases[factor])
+    codes, values = pd.factorize(cases[factor], sort=is_number, use_na_sentinel=False)
+    words = np.array([level_text(plain(value)) for value in values], dtype=object)
+    kinds = pd.CategoricalDtype(list(dict.fromkeys(words)), ordered=True)
+    return pd.Series(words[codes], cases.index).astype(kinds)
 
 
 def factor_words(factor: str) -> str:

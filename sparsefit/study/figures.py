@@ -54,9 +54,9 @@ class Panel:
     """A pair of axes with its curves and labels.
 
     style: arguments of `plot` that replace those of the curve; x_range, y_range: limits of the
-    axes, by default those of the data; log: the logarithmic axes, `xy`; levels: names of x = 0, 1,
-    ..., or the numbers on the x axis; marks: dashed lines, each an axis and a value; is_share:
-    whether y is a share [%], whose intervals are within the limits.
+    axes, by default those of the data; log: the logarithmic axes, `xy`; levels: the numbers on the
+    x axis if they are few, and their names if it has no numbers; marks: dashed lines, each an axis
+    and a value; is_share: whether y is a share [%], whose intervals are within the limits.
     """
 
     curves: list[Curve]
@@ -67,14 +67,10 @@ class Panel:
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     log: str = ""
-    levels: Sequence[str] | Array = ()
+    levels: Sequence[float] | Array = ()
+    names: Sequence[str] = ()
     marks: Sequence[tuple[str, float]] = ()
     is_share: bool = False
-
-    @property
-    def names(self) -> list[str]:
-        """The names of x = 0, 1, ...; empty for a numeric axis."""
-        return [] if isinstance(self.levels, np.ndarray) else list(self.levels)
 
     def bars_of(self, curve: Curve) -> Array | None:
         """Return the intervals to draw: on an axis of names, or of at most four curves."""
@@ -141,7 +137,7 @@ class Panel:
                 axes.set_xlim(-0.5, len(short) - 0.5)
             axes.grid(False, axis="x")
         elif len(self.levels):
-            style.level_axis(axes, np.asarray(self.levels, dtype=float))
+            style.level_axis(axes, np.asarray(self.levels))
         ends, log = self.y_range, self.log
         if ends is None and heights.size:
             low, high = float(heights.min()), float(heights.max())
@@ -239,15 +235,12 @@ def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArr
         words = f"{factor_words(factor)} {text} {unit_of(factor)}"
         return words.rstrip() if "." in factor else text
 
-    columns = [("", np.arange(len(cases)))]
-    if entry.columns:
-        levels = entries.levels_of(cases, entry.columns)
-        columns = [(words(entry.columns, level), np.flatnonzero(levels == level))
-                   for level in levels.cat.categories]  # fmt: skip
-    rows = [(", ".join(map(words, entry.rows, key)), own)
-            for key, own in grouped(cases, entry.rows)]  # fmt: skip
+    def parts(factors: Sequence[str]) -> list[tuple[str, IntArray]]:
+        return [(", ".join(map(words, factors, key)), at) for key, at in grouped(cases, factors)]
+
+    columns = parts([entry.columns] if entry.columns else [])
     return [[(row, title, np.intersect1d(own, places)) for title, places in columns]
-            for row, own in rows[:6]]  # fmt: skip
+            for row, own in parts(entry.rows)[:6]]  # fmt: skip
 
 
 def _curves(entry: Entry, cases: pd.DataFrame, places: IntArray) -> list[tuple[str, IntArray]]:
@@ -275,9 +268,8 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     for along in axes_of:
         level_of = entries.levels_of(whole, along)[seen].cat.remove_unused_categories()
         codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
-        is_number = is_numeric_dtype(cases[along])
-        shown = np.array(levels, dtype=float) if is_number else list(levels)
-        x = np.asarray(shown if is_number else range(len(levels)), dtype=float)
+        named = () if is_numeric_dtype(cases[along]) else tuple(levels)
+        x = np.array(range(len(levels)) if named else levels, dtype=float)
         x_label = with_unit(factor_words(along), unit_of(along))
         for each in entry.measures:
             values = each.values(cases)
@@ -288,7 +280,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
                         [_along(name, each, values[at], codes[at], x)
                          for name, at in _curves(entry, cases, places)],
                         x_label, "\n".join(wrapped(text, 26) for text in (words, level) if text),
-                        title, {} if "." in along else {"ls": ""}, levels=shown,
+                        title, {} if "." in along else {"ls": ""}, levels=x, names=named,
                         marks=[("y", limit) for limit in entry.limits],
                         is_share=each.summary == "share",
                     )
@@ -297,7 +289,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     grid = grid[:6]  # rows of panels
     means = {curve.name: float(np.nanmean(curve.y)) for row in grid[:1] for curve in row[0].curves
              if np.isfinite(curve.y).any()}  # fmt: skip
-    slanted = 0.0 if all(isinstance(row[0].levels, np.ndarray) for row in grid) else 0.7
+    slanted = 0.7 if any(row[0].names for row in grid) else 0.0
     return drawn(grid, 0.8 + slanted + 2.1 * len(grid), ranks or means)
 
 

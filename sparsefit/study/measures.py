@@ -93,19 +93,16 @@ def gridded(values: Array, places: Sequence[IntArray], shape: Sequence[int]) -> 
     return grid
 
 
-def pooled(reduce: Statistic) -> Statistic:
-    """Return a summary of arrays (..., units, cases) over both axes."""
-    return lambda grid: reduce(grid.reshape(*grid.shape[:-2], -1))
-
-
 def resampled(statistic: Callable[[IntArray], Array], units: int, width: int = 1, seed: int = 0,
               resamples: int = RESAMPLES) -> Array:  # fmt: skip
-    """Return the bootstrap distribution (resamples,) of a statistic.
+    """Return the bootstrap distribution (resamples,) of a statistic; of a single unit it is NaN.
 
     Args:
         statistic: a function of the indices (n, units) of drawn units that returns (n,) values.
         width: numbers of values of a unit, for the limit of memory.
     """
+    if units < 2:
+        return np.full(resamples, np.nan)
     rng = np.random.default_rng(seed)
     each = max(1, CHUNK // max(1, units * width))
     sizes = [min(each, resamples - start) for start in range(0, resamples, each)]
@@ -118,11 +115,10 @@ def ends(distribution: Array) -> tuple[float, float]:
     return low, high
 
 
-def interval(statistic: Statistic, grid: Array) -> tuple[float, float]:
-    """Return the 95 % interval of a statistic of values (units, cases); NaN for a single unit."""
-    if len(grid) < 2:
-        return math.nan, math.nan
-    return ends(resampled(lambda at: statistic(grid[at]), len(grid), grid[0].size))
+def interval(reduce: Statistic, grid: Array) -> tuple[float, float]:
+    """Return the 95 % interval of a summary of all values of a grid (units, cases)."""
+    width = grid[0].size
+    return ends(resampled(lambda at: reduce(grid[at].reshape(len(at), -1)), len(grid), width))
 
 
 def wilson(part: float, whole: int) -> tuple[float, float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.study.arena import ACCURACIES
-from sparsefit.study.measures import interval, mean, pooled
+from sparsefit.study.measures import interval, mean
 from sparsefit.study.table import Column, Table, Value, significant
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def ratio(numerator: Array, denominator: Array) -> tuple[float, float, float]:
     logs = logs[np.isfinite(logs)]
     if not len(logs):
         return math.nan, math.nan, math.nan
-    low, high = interval(pooled(mean), logs[:, None]) if len(logs) >= 5 else (math.nan, math.nan)
+    low, high = interval(mean, logs[:, None]) if len(logs) >= 5 else (math.nan, math.nan)
     return math.exp(logs.mean()), math.exp(low), math.exp(high)
 
 
@@ -108,10 +108,11 @@ def summary(cases: pd.DataFrame) -> Table:
     """Return verdict, success, mean time and ratio to the fastest by objective and solver."""
     levels = accuracies(cases)[::-1]  # the strictest first: it gives order and verdict
     limit = cases.attrs.get("limit", LIMIT)
-    rows, names = dict[tuple[str, str], dict[Column, Value]](), ("objective", "solver", "verdict")
-    for level in levels:
-        to = f"to {accuracy_text(level)}"
-        for objective, seconds in times_to(cases, level).items():
+    every = list[dict[Column, Value]]()
+    for objective, here in cases.groupby("objective", sort=False):
+        rows = dict[str, dict[Column, Value]]()
+        for level in levels:
+            to, (seconds,) = f"to {accuracy_text(level)}", times_to(here, level).values()
             charged = seconds.clip(upper=limit).to_numpy().T
             for place, (name, own) in enumerate(zip(seconds, charged, strict=True)):
                 solved = np.isfinite(seconds[name])
@@ -123,25 +124,22 @@ def summary(cases: pd.DataFrame) -> Table:
                 mean = 1e3 * float(np.exp(np.log(own + SHIFT).mean()) - SHIFT)
                 times = f"{'' if solved.all() else '≥ '}{significant(middle)}"
                 ends = f"{significant(low)} … {significant(high)}" if is_sure else "–"
-                key = (objective, str(name))
-                row = rows.setdefault(
-                    key, dict(zip(map(Column, names), (*key, verdict), strict=True))
-                )
-                row[Column("solved", group=to)] = f"{solved.sum()}/{len(own)}"
-                row[Column("mean time", "ms", group=to, varies=True)] = mean
-                row[Column("× fastest", group=to, varies=True)] = times
-                row[Column("95 %", group=to, varies=True)] = ends
-    absent = cases.loc[cases["status"] == "skipped", ["objective", "solver"]]
-    for key in absent.itertuples(index=False, name=None):
-        rows.setdefault(key, dict(zip(map(Column, names), (*key, "missing"), strict=True)))
+                rows.setdefault(str(name), {Column("verdict"): verdict}).update({
+                    Column("solved", group=to): f"{solved.sum()}/{len(own)}",
+                    Column("mean time", "ms", group=to, varies=True): mean,
+                    Column("× fastest", group=to, varies=True): times,
+                    Column("95 %", group=to, varies=True): ends,
+                })  # fmt: skip
+        for name in here.loc[here["status"] == "skipped", "solver"]:
+            rows.setdefault(name, {Column("verdict"): "missing"})
+        every += [{Column("objective"): str(objective), Column("solver"): name, **row}
+                  for name, row in rows.items()]  # fmt: skip
     note = (
         "solved: problems with a certified excess, relative to the objective at zero, within the "
         f"accuracy. mean time: geometric mean of wall times, shifted by {1e3 * SHIFT:g} ms; an "
         f"unsolved problem counts as the limit, {limit:g} s, and makes × fastest a lower bound (≥)."
         f" 95 %: interval of × fastest over problems. Verdict: to {accuracy_text(levels[0])}."
     )
-    order = list(dict.fromkeys(cases["objective"]))
-    every = [rows[key] for key in sorted(rows, key=lambda key: order.index(key[0]))]
     return Table.of_cells("Solvers: success and time", every, (note,))
 
 

@@ -263,10 +263,9 @@ class Table:
         """
         texts, align = self.texts(most), ["<" if words else ">" for words in self.is_text]
         names = max(1, min([*align, ">"].index(">"), len(self.columns) - 1))
-        sizes = [
-            max(map(len, (*_wrapped(column.heading, 28), *(row[place] for row in texts))))
-            for place, column in enumerate(self.columns)
-        ]
+        heads = [column.heading for column in self.columns]
+        columns = zip(heads, *texts, strict=True)
+        sizes = [max(map(len, (*_wrapped(head, 28), *cells))) for head, *cells in columns]
         room, shortest_first = int(0.6 * width), sorted(range(names), key=sizes.__getitem__)
         for place, sharers in zip(shortest_first, range(names, 0, -1), strict=True):
             sizes[place] = min(sizes[place], max(room // sharers - 2, 12))
@@ -293,10 +292,9 @@ class Table:
             spans = [(group, sum(sizes[at] + 2 for at in own) - 2) for group, own in runs]
             above = [_wrapped(group, span, indent="") for group, span in spans]
             lines = _lines(above, [span for _, span in spans], "^" * len(spans))
-            heads = [_wrapped(self.columns[at].heading, sizes[at]) for at in block]
-            lines += _lines(heads, widths, signs)
-            for row in texts:
-                lines += _lines([_wrapped(row[at], sizes[at]) for at in block], widths, signs, 1)
+            for place, row in enumerate((heads, *texts)):
+                cells = [_wrapped(row[at], sizes[at]) for at in block]
+                lines += _lines(cells, widths, signs, place)
             printed.append("\n".join(lines))
         notes = [textwrap.fill(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, *printed, *notes]) + "\n"

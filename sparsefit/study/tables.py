@@ -50,7 +50,7 @@ class Part(NamedTuple):
         if each.summary == "share" and grid.shape[1] == 1:
             ends = measures.wilson(np.nansum(here), (~np.isnan(here)).sum())
         else:
-            ends = measures.interval(measures.pooled(each.reduce), grid)
+            ends = measures.interval(each.reduce, grid)
         before = f"{column.name} " if column.group else ""
         below = replace(column, group=column.group or column.name)
         columns = (column, *(replace(below, name=f"{before}{end}") for end in ("from", "to")))
@@ -79,7 +79,7 @@ def name_columns(entry: Entry, cases: pd.DataFrame) -> list[str]:
     rows = entry.rows or ("condition", "title")
     if entry.along and not entry.rows:
         rows = ("protocol", "title") if "protocol" in cases else ("title",)
-    entries.check_columns(cases, rows, "rows")
+    entries.check_columns(cases, [*rows, *filter(None, [entry.along])], "the table")
     names = [name for name in rows if name == "status" or cases[name].nunique(dropna=False) > 1]
     if "title" in names:
         several = cases.groupby("title")[names].nunique(dropna=False).max() > 1

@@ -183,7 +183,7 @@ class Trials:
 
     def between(self, at: int) -> list[float]:
         """Return the 95 % interval of the criterion of a candidate."""
-        return sorted(self.criterion.sign * end for end in self.ends(self.drawn[at]))
+        return sorted(self.criterion.sign * end for end in ends(self.drawn[at]))
 
     def against(self, at: int, other: int) -> Difference:
         """Return the loss of a candidate less that of another, paired by unit."""
@@ -191,11 +191,7 @@ class Trials:
         alike = np.allclose(*pair, rtol=ROUNDING, atol=least, equal_nan=True)
         with np.errstate(invalid="ignore"):  # two that fail wholly
             effect, drawn = self.loss[at] - self.loss[other], self.drawn[at] - self.drawn[other]
-        return Difference(float(effect), *self.ends(drawn), bool(alike))
-
-    def ends(self, drawn: Array) -> tuple[float, float]:
-        """Return the 95 % interval of resampled values; of a single unit there is none."""
-        return ends(drawn) if self.shape[1] > 1 else (math.nan, math.nan)
+        return Difference(float(effect), *ends(drawn), bool(alike))
 
     def breaches(
         self, rule: Any, timed: Mapping[str, Mapping[str, float]]

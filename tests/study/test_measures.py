@@ -116,7 +116,6 @@ PLAIN = {
     "share": lambda row: 100.0 * np.mean(row),
     "largest": np.max,
 }
-MEAN = measures.pooled(mean)
 
 
 @pytest.mark.parametrize("name", measures.SUMMARIES)
@@ -140,7 +139,7 @@ def test_of_nothing_nothing_is_known():
     assert np.isnan(mean(nothing)).all()
     assert np.isnan(quantile(nothing, 0.5)).all()
     assert all(map(math.isnan, (*wilson(0, 0), *ratio(np.array([]), np.array([])))))
-    assert all(map(math.isnan, interval(MEAN, VALUES[:1])))
+    assert all(map(math.isnan, interval(mean, VALUES[:1])))
 
 
 def test_the_interval_is_that_of_scipy_and_draws_units_not_cases():
@@ -148,8 +147,8 @@ def test_the_interval_is_that_of_scipy_and_draws_units_not_cases():
     ours = measures.ends(resampled(lambda at: units[at].mean(axis=1), 60, resamples=4000))
     theirs = stats.bootstrap((units,), np.mean, n_resamples=4000, method="percentile")
     assert ours == pytest.approx(tuple(theirs.confidence_interval), abs=0.06)
-    once = interval(MEAN, units[:, None])
-    assert interval(MEAN, np.repeat(units[:, None], 4, axis=1)) == pytest.approx(once)
+    once = interval(mean, units[:, None])
+    assert interval(mean, np.repeat(units[:, None], 4, axis=1)) == pytest.approx(once)
 
 
 def test_units_drawn_in_parts_are_the_same_units(monkeypatch):
