@@ -180,8 +180,8 @@ def _named(every: Sequence[Panel], ranks: Ranks) -> dict[str, str | None]:
         curves = {curve.name: curve for curve in panel.curves}
         panel.curves = [curves[name] for name in names if name in curves]
     named = names if len(names) == NAMED_CURVES + 1 else names[:NAMED_CURVES]
-    told = style.labels(names, 52)  # distinct from the grey ones, too
-    short = {name: told[name] for name in named}
+    labels = style.labels(names, 52)  # distinct from the grey ones, too
+    short = {name: labels[name] for name in named}
     more = {name: f" and {size - 1} alike" * (size > 1) for name, size in count.items()}
     return {name: f"{short[name]}{more[name]}" if name in short else None for name in names}
 

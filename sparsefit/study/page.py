@@ -224,13 +224,12 @@ def write(study: Any) -> list[Path]:
     page = to_html(study.name, study.question, answer, sections, state)
     files |= {"report.html": page.encode()}
     texts = [text.translate(MARKDOWN) for text in (study.name, study.question, answer)]
-    parts = ["# {}\n\n**{}**\n\n{}".format(*texts),
-             f"{state} Written by `sparsefit study report`; do not edit."]  # fmt: skip
-    shown = [
-        f"![{name}]({name}.{'svg' if f'{name}.svg' in files else 'png'})\n\n*{caption}*"
-        if picture.figure else caption
-        for name, picture in pictures.items() for caption in [picture.caption.translate(MARKDOWN)]
-    ]  # fmt: skip
+    written = f"{state} Written by `sparsefit study report`; do not edit."
+    parts, shown = ["# {}\n\n**{}**\n\n{}".format(*texts), written], list[str]()
+    for name, picture in pictures.items():
+        caption = picture.caption.translate(MARKDOWN)
+        file = f"{name}.svg" if f"{name}.svg" in files else f"{name}.png"
+        shown.append(f"![{name}]({file})\n\n*{caption}*" if picture.figure else caption)
     room, fitting = 700 - sum(len(part.split()) for part in (*parts, *shown)), list[str]()
     for name, each in made.items():  # as far as 700 words go
         lengths = (each.to_markdown(rows, f"{name}.csv") for rows in (60, 30, 15, 8))
