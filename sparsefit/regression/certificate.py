@@ -31,6 +31,15 @@ are larger by the `spread` of a design off which a mean was taken. With Huber's 
 a row beyond the knot by more than its rounding: rho is that of the other rows, and an outlier of
 any size moves P by its own rounding times |u_i| alone.
 
+Where Z'Z was formed, squares are certified without the rows: with G = Z'Z/m, B = Z'Y/m and c = y^2,
+
+    C = B - G V,   q = c - <V, B>,   r = q - <V, C>;
+
+G is off by gamma_N times spread^2, B by gamma_N y spread, sums over the c weights by gamma_{c + 2}
+of l and y + l, which bound |B| + |G V|. With the N above and e = spread^2 gamma_N (y + l),
+
+    |err C| <= e,   |err q| <= y e,   |err r| <= (y + l) e.
+
 The field ``rounding`` is the sum of these errors: the limit of s is taken with |C| raised by its
 error, P and D are moved by theirs, and value + rounding is an upper bound of the relative gap in
 exact arithmetic. No product underflows, as `problem` refuses norms that are so small.
@@ -46,8 +55,8 @@ from typing import Literal
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.regression.design import Design
-from sparsefit.regression.losses import RootSquares, Squares
+from sparsefit.regression.design import Design, in_blocks
+from sparsefit.regression.losses import SQUARES, RootSquares, Squares
 from sparsefit.regression.penalties import Penalty, SquaredNorm
 
 CertificateKind = Literal["duality_gap", "normal_equations", "fixed_point"]
@@ -101,7 +110,7 @@ class DualPoint:
         n, k = target.shape[1], design.shape[1]
         wide = np.tile(target, (1, pull.shape[1] // n))
         square, product, whole = (
-            np.einsum("iq,iq->q", *pair).reshape(-1, n) / design.samples
+            design.overlaps(*pair).reshape(-1, n)
             for pair in ((pull, pull), (pull, wide), (target, target))
         )
         correlation = design.correlate(pull).reshape(k, -1, n).transpose(1, 0, 2)
@@ -109,6 +118,20 @@ class DualPoint:
         error = design.spread * gamma * root + rho
         errors = error, (2.0 * root + rho) * error, np.sqrt(whole) * error
         return cls(correlation, square, product, *errors, gamma)
+
+    @classmethod
+    def of_products(
+        cls, design: Design, cross: Array, level: Array, scaled: Array, gamma: float
+    ) -> "DualPoint":
+        """The point u = R of V (p, k, n) by Z'Z, from B (k, n) and y (n,)."""
+        across = scaled.transpose(0, 2, 1)
+        product = level**2 - (across * cross.T).sum(axis=2)
+        fitted = (across.reshape(-1, len(cross)) @ design.gram).reshape(across.shape)
+        correlation = (cross.T - fitted).transpose(0, 2, 1)
+        square = np.maximum(product - (scaled * correlation).sum(axis=1), 0.0)
+        reach = level + np.abs(scaled).sum(axis=1)
+        error = design.spread**2 * gamma * reach
+        return cls(correlation, square, product, error, reach * error, level * error, gamma)
 
     def with_ridge(self, scaled: Array, alphas: Array, penalty: Penalty) -> "DualPoint":
         """The point extended by the rows of the ridge, with entries F (p, k, n)."""
@@ -168,37 +191,67 @@ class DualPoint:
 
 
 def duality_gaps(
-    design: Design, target: Array, weights: Sequence[Array], alphas: Array, penalty: Penalty
+    design: Design,
+    target: Array,
+    weights: Sequence[Array],
+    alphas: Array,
+    penalty: Penalty,
+    *,
+    cross: Array | None = None,
+    enough: float = 0.0,
 ) -> tuple[Certificate, ...]:
-    """Certificates of p weights (k, n), in original units, at the penalties alphas (p,)."""
-    size = target.shape[1] * max(design.shape)
+    """Certificates of p weights (k, n), in original units, at the penalties alphas (p,).
+
+    cross: Z'Y/m (k, n). With it, and Z'Z where the design has formed that, squares are certified to
+    ``enough``; what has no such bound is certified by the rows.
+    """
+    # Columns are the last axis in memory: numpy is slow where that has few entries.
+    scaled = np.array([each.T for each in weights], order="C")
+    scaled *= design.rms
+    scaled, size = scaled.transpose(0, 2, 1), target.shape[1] * max(design.shape)
     entries = 2**19 if design.kind == "sparse" else 2**22  # whose sums are no matrix products
-    step, certificates = max(entries // size, 1), list[Certificate]()
-    for start in range(0, len(weights), step):
-        part = slice(start, start + step)
-        # Columns are the last axis in memory: numpy is slow where that has few entries.
-        scaled = np.array([each.T for each in weights[part]], order="C")
-        scaled *= design.rms
-        certificates += _gaps(design, target, scaled.transpose(0, 2, 1), alphas[part], penalty)
-    return tuple(certificates)
+    certificates, step = dict[int, Certificate](), max(entries // size, 1)
+    if cross is not None and penalty.loss == SQUARES and design.has_gram:
+        by_products = _gaps(design, target, scaled, alphas, penalty, cross)
+        certificates = {i: each for i, each in enumerate(by_products) if each.bound <= enough}
+    rest = [i for i in range(len(weights)) if i not in certificates]
+    for start in range(0, len(rest), step):
+        part = rest[start : start + step]
+        by_rows = _gaps(design, target, scaled[part], alphas[part], penalty)
+        certificates |= dict(zip(part, by_rows, strict=True))
+    return tuple(certificates[i] for i in range(len(weights)))
 
 
 def _gaps(
-    design: Design, target: Array, scaled: Array, alphas: Array, penalty: Penalty
+    design: Design,
+    target: Array,
+    scaled: Array,
+    alphas: Array,
+    penalty: Penalty,
+    cross: Array | None = None,
 ) -> list[Certificate]:
-    """Certificates of V = ``scaled`` (p, k, n): P, D, the gap and its rounding error."""
+    """Certificates of V = ``scaled`` (p, k, n): P, D, the gap and its rounding error.
+
+    By Z'Z and B = ``cross`` (k, n), or by the rows.
+    """
     (count, k, n), loss = scaled.shape, penalty.loss
     data, target = target, loss.centred(target)
-    level = np.sqrt(np.einsum("it,it->t", target, target) / design.samples)
+    level = np.sqrt(design.overlaps(target, target))
     used = int(np.any(scaled.any(axis=0), axis=1).sum())
     gamma = rounding_of(design.terms + 2 * used * n + 20)
-    rest = np.tile(target, (1, count)) - design.predict(scaled.transpose(1, 0, 2).reshape(k, -1))
-    size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
-    rho, pull, linear = unit * (level + size), rest, np.zeros(count)
-    if np.isfinite(loss.clip):
-        rest, pull, rho, linear = _clipped(design, data, loss, rest, size, unit)
-    overlap = np.einsum("iq,iq->q", pull, rest).reshape(count, n) / design.samples
-    point = DualPoint.of(design, target, pull, gamma, rho)
+    linear = np.zeros(count)
+    if cross is not None:
+        point = DualPoint.of_products(design, cross, level, scaled, gamma)
+        overlap = point.square
+    else:
+        flat = scaled.transpose(1, 0, 2).reshape(k, -1)
+        pull = rest = np.tile(target, (1, count)) - design.predict(flat)
+        size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
+        rho = unit * (level + size)
+        if np.isfinite(loss.clip):
+            rest, pull, rho, linear = _clipped(design, data, loss, rest, size, unit)
+        overlap = design.overlaps(pull, rest).reshape(count, n)
+        point = DualPoint.of(design, target, pull, gamma, rho)
     primal = loss.primal(point.square, overlap, level) + alphas * penalty.value(scaled)
     loose, total = point.square_error.sum(axis=1), float(np.sum(level**2))
     if isinstance(loss, RootSquares):
@@ -206,9 +259,11 @@ def _gaps(
         moved = np.sqrt(square + loose) - np.sqrt(np.maximum(square - loose, 0.0))
         doubt, whole = np.sqrt(total) * moved, total
     else:
+        doubt, whole = 0.5 * loose + linear, 0.5 * total
+    if np.isfinite(loss.clip):
         start, cut = loss.clipped(target, loss.bound(target))
-        null = np.einsum("it,it->t", cut, start - 0.5 * cut) / design.samples
-        doubt, whole = 0.5 * loose + linear, float(np.minimum(null, 0.5 * level**2).sum())
+        null = design.overlaps(cut, start - 0.5 * cut)
+        whole = float(np.minimum(null, 0.5 * level**2).sum())
     doubt, whole = doubt + gamma * primal, whole or 1.0
     full = point.with_ridge(scaled, alphas, penalty) if penalty.ridge else point
     certificates = []
@@ -244,7 +299,7 @@ def _clipped(
     root = np.sqrt(np.square(pull).sum(axis=0) / m).reshape(count, n)
     linear = np.einsum("iq,iq->q", np.abs(pull), each).reshape(count, n) / m + root * unit * size
     if loss.direction is not None:  # u - e e'u is the dual point, once its entries are c at most
-        along = np.abs(loss.direction @ pull)
+        along = np.abs(in_blocks(np.matmul, loss.direction, pull))
         along += rounding_of(design.terms + 20) * np.sqrt(m) * root.ravel()
         product = np.einsum("iq,iq->q", np.abs(pull), np.tile(np.abs(centred), (1, count))) / m
         lost = product * loss.direction.max() / reach.max(axis=0)  # one ratio in all rows

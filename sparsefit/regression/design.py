@@ -11,16 +11,17 @@ matrix is one block, whose zeros are neither stored nor summed, and so is a dask
 are formed where its own blocks are (a block lost with its worker is computed again there).
 
 Rounding: with u = 2^-53, a sum that is formed in blocks of b terms, B of them, is off by at most
-gamma_{b + B} times the sum of the moduli (Higham 2002, section 4.2); `terms` is that b + B. Where a
-mean was taken off the columns, rounding is relative to what they were before: `spread` is the
-largest ratio of the two.
+gamma_{b + B} times the sum of the moduli (Higham 2002, section 4.2); `terms` is that b + B, of sums
+with a column of theta and of `in_blocks`. Where a mean was taken off the columns, rounding is
+relative to what they were before: `spread` is the largest ratio of the two.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from hashlib import blake2b
 from typing import Any
 
@@ -31,6 +32,7 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 
 ROW_BLOCK = 8192  # rows a pass of a dense design: they stay in cache for what is done to them
+SUMMED = 1024  # rows at a time in sums of what is not a column of theta
 BLOCK_BYTES = 2**26  # of a block of rows that is read from a disk
 
 Index = IntArray | slice
@@ -78,13 +80,14 @@ class Design:
     @cached_property
     def terms(self) -> int:
         """The number N of terms in the rounding bound gamma_N of a sum over the rows."""
+        m, step = self.shape[0], self._step
         if self.kind == "sparse":  # the fullest column: a sum over the rows has no other terms
             count = int(np.diff(self.source.indptr).max())
         elif self.kind == "dask":
             count = int(max(self.source.chunks[0])) + len(self.source.chunks[0])
         else:
-            m, step = self.shape[0], self._step
             count = min(m, step) + -(-m // step) - 1
+        count = max(count, min(m, SUMMED) + -(-m // SUMMED) - 1)
         return count if self.direction is None else 3 * count + 8  # three sums in place of one
 
     def blocks(self) -> Iterator[tuple[slice, Any]]:
@@ -144,7 +147,8 @@ class Design:
         """(I - e e') R (m, n); R without a direction."""
         if self.direction is None:
             return rows
-        return rows - np.multiply.outer(self.direction, self.direction @ rows)
+        along = in_blocks(np.matmul, self.direction, rows)
+        return rows - np.multiply.outer(self.direction, along)
 
     @cached_property
     def squares(self) -> Array:
@@ -236,6 +240,10 @@ class Design:
         out /= (self.rms * self.samples)[:, None]
         return out
 
+    def overlaps(self, first: Array, second: Array) -> Array:
+        """<r_q, s_q>/m (q,) of the columns of R and S (m, q)."""
+        return in_blocks(partial(np.einsum, "iq,iq->q"), first, second) / self.samples
+
     def columns(self, index: IntArray) -> Array:
         """Z_J (m, j), dense; a copy."""
         out = self.raw_columns(index)
@@ -260,6 +268,11 @@ class Design:
         out: Array = np.divide(total, self.rms[others], out=total)
         return out
 
+    @property
+    def has_gram(self) -> bool:
+        """Whether Z'Z was formed before."""
+        return "gram" in vars(self)
+
     @cached_property
     def gram(self) -> Array:
         """Z'Z/m (k, k), read-only. Raises InputError where half of the memory is less."""
@@ -275,6 +288,13 @@ class Design:
             raise InputError(f"{words}: use fewer columns") from None
         gram.setflags(write=False)
         return gram
+
+
+def in_blocks(product: Callable[..., Any], first: Array, second: Array) -> Array:
+    """The sum of ``product`` of the rows of both arrays, SUMMED of them at a time."""
+    parts = [slice(start, start + SUMMED) for start in range(0, len(first), SUMMED)]
+    total: Array = sum(product(first[part], second[part]) for part in parts)
+    return total
 
 
 def _array(product: Any) -> Array:

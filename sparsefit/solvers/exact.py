@@ -185,7 +185,9 @@ def _by_targets(
         penalty = AbsoluteValues(penalty.weights[penalty.groups], ridge=penalty.ridge)
     parts = [slice(None)] if penalty.coupled else [slice(t, t + 1) for t in range(targets)]
     plain = type(penalty) is AbsoluteValues and np.ptp(penalty.weights) == 0.0 and design.in_memory
-    growing = Growing(design) if plain and len(cross) <= FEW and compiled("homotopy") else None
+    some = len(alphas) < SEVERAL or len(cross) > FEW // 2  # else most columns enter
+    grows = plain and some and len(cross) <= FEW and compiled("homotopy")
+    growing = Growing(design) if grows else None
     solved = [
         _along(design, target[:, part], penalty, alphas, cross[:, part], growing) for part in parts
     ]

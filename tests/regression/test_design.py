@@ -96,10 +96,11 @@ def test_rounding_grows_with_blocks_and_with_the_mean_that_is_taken_off(
     tall = Design(np.ones((100_000, 1)), 100_000)
     assert tall.terms == 8192 + 12
     monkeypatch.setattr("sparsefit.regression.design.BLOCK_BYTES", 8 * K * 20)
+    monkeypatch.setattr("sparsefit.regression.design.SUMMED", 4)
     assert Design(Rows(), M).terms == 20 + 2  # three blocks of 20 rows of eight bytes a number
     shifted = Design(DRAW.normal(size=(50, 2)) + np.array([0.0, 1e3]), 50)
     assert 300 < replace(shifted, direction=np.full(50, 50**-0.5)).spread < 3000
-    assert Design(sparse.csc_array(np.eye(5)), 5).terms == 1
+    assert Design(sparse.csc_array(np.eye(9)), 9).terms == 4 + 2  # of squares of a target
 
 
 def test_a_column_that_is_constant_is_zero_when_centred() -> None:
