@@ -24,14 +24,16 @@ THETA = np.array([[1.0, 1.0], [1.0, -1.0]])
 TARGET = np.array([[3.0], [1.0]])  # Z = theta, Z'Z/m = I, c = Z'y/m = (2, 1), |y|^2/2m = 2.5
 
 
-def certified(theta, target, weights, alphas, penalty):
+def certified(theta, target, weights, alphas, penalty, by_products=False):
     """Certificates of weights (p, k, n)."""
-    design, alphas = Design(theta, len(theta)), np.asarray(alphas)
-    return duality_gaps(design, target, np.asarray(weights), alphas, penalty)
+    design, sums = Design(theta, len(theta)), {}
+    if by_products:
+        sums = {"cross": design.correlate(target), "enough": np.inf * design.gram[0, 0]}
+    return duality_gaps(design, target, np.asarray(weights), np.asarray(alphas), penalty, **sums)
 
 
-def certify(theta, target, weights, alpha, penalty):
-    return certified(theta, target, np.asarray(weights)[None], [alpha], penalty)[0]
+def certify(theta, target, weights, alpha, *more):
+    return certified(theta, target, np.asarray(weights)[None], [alpha], *more)[0]
 
 
 def test_primal_and_dual_of_two_columns_worked_by_hand():
@@ -77,15 +79,12 @@ def test_gap_bounds_the_true_suboptimality_in_high_precision(seed):
             weights = (rng.normal(size=(3, 1)) * size) / problem.design.rms[:, None]
             found = certify(theta, target, weights, alpha, lasso_penalty(3))
             exact, _ = exactly(theta, target, problem.design.rms, weights, alpha, lasso_penalty(3))
-            null = problem.null_objective
+            null, size = problem.null_objective, np.abs(weights.T * problem.design.rms).sum()
             assert abs(found.primal - float(exact)) <= 1e-14 * null
             assert found.dual <= float(optimum) + 1e-14 * null
             assert found.value * null >= float(exact - optimum) - 1e-14 * null
             assert found.value + found.rounding >= (exact - optimum) / null
-            assert (
-                found.rounding
-                <= 1e-12 * (1 + np.abs(weights * problem.design.rms[:, None]).sum()) ** 2
-            )
+            assert found.rounding <= 1e-12 * (1 + size) ** 2
     weights = backends.get("lasso", alpha_fraction=fraction).solve(problem).weights
     tight = certify(theta, target, weights, alpha, lasso_penalty(3))
     assert tight.primal == pytest.approx(float(optimum), rel=1e-14)
@@ -118,13 +117,9 @@ def test_gap_does_not_depend_on_units(theta_unit, target_unit, seed, joint):
     weights = np.random.default_rng(seed).normal(size=(12, 2))
     penalty = GroupNorms(problem.groups, np.ones(4), joint)
     plain = certify(problem.theta, problem.target, weights, 0.3, penalty)
-    changed = certify(
-        problem.theta * theta_unit,
-        problem.target * target_unit,
-        weights * (target_unit / theta_unit),
-        0.3 * target_unit,
-        penalty,
-    )
+    theta, target = problem.theta * theta_unit, problem.target * target_unit
+    weights *= target_unit / theta_unit
+    changed = certify(theta, target, weights, 0.3 * target_unit, penalty)
     assert changed.value == pytest.approx(plain.value, rel=1e-12)
     assert changed.rounding == pytest.approx(plain.rounding, rel=1e-2)
     assert changed.primal == pytest.approx(plain.primal * target_unit**2, rel=1e-12)
@@ -138,9 +133,8 @@ def test_gap_is_never_negative_and_dual_never_above_primal(seed, kind, size):
     unit = np.sqrt(problem.target_square) / problem.design.rms[:, None]
     weights = size * unit * rng.normal(size=(problem.columns, problem.targets))
     penalty = GroupNorms(problem.groups, np.ones(problem.groups.max() + 1), bool(seed % 2))
-    found = certify(
-        problem.theta, problem.target, weights, 0.3 * alpha_max(problem.cross, penalty), penalty
-    )
+    alpha = 0.3 * alpha_max(problem.cross, penalty)
+    found = certify(problem.theta, problem.target, weights, alpha, penalty)
     assert found.value >= 0
     assert found.dual <= found.primal + 1e-12 * problem.null_objective
 
@@ -177,9 +171,10 @@ def exactly(theta, target, rms, weights, alpha, penalty):
     size=st.sampled_from([0.0, 1.0, 1e3, 1e6]),
     fitted=st.booleans(),
     penalty=st.sampled_from(["lasso", "separate", "joint"]),
+    by_products=st.booleans(),
 )
-@settings(max_examples=30)
-def test_rounding_covers_what_double_precision_loses(seed, size, fitted, penalty):
+@settings(max_examples=40)
+def test_rounding_covers_what_double_precision_loses(seed, size, fitted, penalty, by_products):
     # Nearly equal columns with large opposite weights: they cancel in Z V, and so do the sums.
     # Where the weights fit the target, the residual is all rounding.
     rng = np.random.default_rng(seed)
@@ -192,7 +187,7 @@ def test_rounding_covers_what_double_precision_loses(seed, size, fitted, penalty
     groups = np.array([2, 0, 1, 1, 2, 2])  # sizes 1, 2 and 3, not in order
     blocks = GroupNorms(groups, np.sqrt([1.0, 2.0, 3.0]), penalty == "joint")
     blocks = lasso_penalty(6) if penalty == "lasso" else blocks
-    found = certify(theta, target, weights, 0.05, blocks)
+    found = certify(theta, target, weights, 0.05, blocks, by_products)
     with mp.workdps(60):
         rms = RegressionProblem.from_arrays(theta, target).design.rms
         primal, exact = exactly(theta, target, rms, weights, 0.05, blocks)
@@ -209,11 +204,27 @@ def test_the_error_of_sums_over_many_rows_is_within_the_bound():
     theta[0] = 1.0
     theta[1:, 1] *= -1.0
     target, weights = theta[:, :1] * 3.0, np.array([[1.0], [1.0]])
-    found = certify(theta, target, weights, 0.01, lasso_penalty(2))
     with mp.workdps(60):
         rms = RegressionProblem.from_arrays(theta, target).design.rms
         exact = exactly(theta, target, rms, weights, 0.01, lasso_penalty(2))[1]
-        assert abs(exact - found.value) <= found.rounding
+        for by_products in (False, True):
+            found = certify(theta, target, weights, 0.01, lasso_penalty(2), by_products)
+            assert abs(exact - found.value) <= found.rounding < 1e-10
+
+
+def test_what_products_do_not_prove_is_certified_by_the_rows():
+    """The second weights have a gap of 1e8: more than enough."""
+    rng = np.random.default_rng(0)
+    design, target = Design(rng.normal(size=(40, 3)), 40), rng.normal(size=(40, 1))
+    weights = rng.normal(size=(2, 3, 1)) * np.array([1.0, 1e4])[:, None, None]
+    posed = (design, target, weights, np.array([0.2, 0.1]), lasso_penalty(3))
+    by_rows, sums = duality_gaps(*posed), {"cross": design.correlate(target), "enough": 100.0}
+    assert duality_gaps(*posed, **sums) == by_rows  # Z'Z was not formed
+    assert design.gram.shape == (3, 3)
+    first, second = duality_gaps(*posed, **sums)
+    assert first.value == pytest.approx(by_rows[0].value, rel=1e-12)
+    assert first.rounding > by_rows[0].rounding
+    assert second.rounding == pytest.approx(by_rows[1].rounding, rel=1e-9)
 
 
 def test_a_compressed_problem_has_the_gap_of_its_samples():

@@ -90,9 +90,7 @@ def test_a_file_of_single_precision_is_read_as_it_is(tmp_path: Path) -> None:
     np.testing.assert_allclose(fit.weights, again.weights, rtol=1e-9)
 
 
-def test_rounding_grows_with_blocks_and_with_the_mean_that_is_taken_off(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_rounding_grows_with_blocks_and_means(monkeypatch: pytest.MonkeyPatch) -> None:
     tall = Design(np.ones((100_000, 1)), 100_000)
     assert tall.terms == 8192 + 12
     monkeypatch.setattr("sparsefit.regression.design.BLOCK_BYTES", 8 * K * 20)

@@ -35,9 +35,8 @@ def test_the_weights_are_worked_by_hand_on_orthonormal_columns():
     expected = np.sqrt(3) * blocks.max() / blocks
     assert backend.penalty(problem).weights == pytest.approx(expected, rel=1e-9)
     problem = regular(3)  # of correlated columns, by a ridge of 0.05
-    sizes = np.linalg.norm(
-        np.linalg.solve(problem.design.gram + 0.05 * np.eye(12), problem.cross), axis=1
-    )
+    ridge = np.linalg.solve(problem.design.gram + 0.05 * np.eye(12), problem.cross)
+    sizes = np.linalg.norm(ridge, axis=1)
     omega = np.maximum(sizes / sizes.max(), 1e-3) ** -1.0
     assert backends.get("adaptive-lasso").penalty(problem).weights == pytest.approx(omega, rel=1e-9)
 
@@ -96,9 +95,8 @@ def test_a_naive_model_of_the_rows_agrees(separate, ratio, subgroups):
     problem = nested(subgroups=subgroups)
     rms = np.sqrt(np.mean(problem.theta**2, axis=0))
     z, y, m = problem.theta / rms, problem.target, problem.samples
-    backend = backends.get(
-        "sparse-group-lasso", l1_ratio=ratio, separate=separate, group_weights="sqrt-size"
-    )
+    own = {"separate": separate, "group_weights": "sqrt-size"}
+    backend = backends.get("sparse-group-lasso", l1_ratio=ratio, **own)
     alpha = 0.15 * alpha_max(problem.cross, backend.penalty(problem))
     v, size = cvxpy.Variable((12, 2)), 0.0
     for part in ([0], [1]) if separate else ([0, 1],):
@@ -140,15 +138,12 @@ def test_the_certificate_is_that_of_the_lasso_on_the_rows_of_the_ridge(seed, rat
     alpha = 0.1 * alpha_max(problem.cross, penalty)
     assert penalty.ridge == pytest.approx((1.0 - ratio) / np.sqrt(problem.target_square.mean()))
     exact = sf.fit(problem, backend)
-    weights = (
-        exact.weights + size * rng.normal(size=exact.weights.shape) / problem.design.rms[:, None]
-    )
-    lift = np.diag(np.sqrt(m * alpha * penalty.ridge) * problem.design.rms)
+    rms = problem.design.rms
+    weights = exact.weights + size * rng.normal(size=exact.weights.shape) / rms[:, None]
+    lift = np.diag(np.sqrt(m * alpha * penalty.ridge) * rms)
     design = Design(np.vstack([problem.theta, lift]), m)
     target = np.vstack([problem.target, np.zeros((k, 2))])
-    norms = AbsoluteValues(
-        problem.design.rms / design.rms
-    )  # in columns of the unit that these rows have
+    norms = AbsoluteValues(rms / design.rms)  # in columns of the unit that these rows have
     (expected,) = duality_gaps(design, target, weights[None], np.array([alpha * ratio]), norms)
     values, alphas = weights[None], np.array([alpha])
     (found,) = duality_gaps(problem.design, problem.target, values, alphas, penalty)
@@ -161,7 +156,6 @@ def test_a_ridges_gap_by_hand():
     # Z = (1, 1), y = (3, 1): G = 1, c = 2, y^2/m = 5. alpha = fraction * k = 1/2, v = 1 in place of
     # c/(1 + alpha) = 4/3: P = (5 - 2*2 + 1)/2 + 1/4 = 5/4. C = 1, r = 2, q = 3, F = C/alpha = 2,
     # r' = 2 + 4/2 = 4, s = 3/4, D = 9/4 - 9/8 = 9/8: the gap is 1/8 over 5/2.
-
     problem = RegressionProblem.from_arrays(np.ones((2, 1)), [3.0, 1.0])
     penalty = backends.get("ridge").penalty(problem)
     weights, alpha = np.ones((1, 1, 1)), np.array([0.5])
