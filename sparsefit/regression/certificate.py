@@ -196,7 +196,6 @@ def duality_gaps(
     weights: Sequence[Array],
     alphas: Array,
     penalty: Penalty,
-    *,
     cross: Array | None = None,
     enough: float = 0.0,
 ) -> tuple[Certificate, ...]:
@@ -210,46 +209,39 @@ def duality_gaps(
     scaled *= design.rms
     scaled, size = scaled.transpose(0, 2, 1), target.shape[1] * max(design.shape)
     entries = 2**19 if design.kind == "sparse" else 2**22  # whose sums are no matrix products
-    certificates, step = dict[int, Certificate](), max(entries // size, 1)
-    if cross is not None and penalty.loss == SQUARES and design.has_gram:
-        by_products = _gaps(design, target, scaled, alphas, penalty, cross)
-        certificates = {i: each for i, each in enumerate(by_products) if each.bound <= enough}
-    rest = [i for i in range(len(weights)) if i not in certificates]
-    for start in range(0, len(rest), step):
-        part = rest[start : start + step]
-        by_rows = _gaps(design, target, scaled[part], alphas[part], penalty)
+    rest, step, certificates = list(range(len(weights))), max(entries // size, 1), {}
+    if cross is not None and penalty.loss == SQUARES and "gram" in vars(design):
+        certificates = dict(enumerate(_gaps(design, (target, cross), scaled, alphas, penalty)))
+        rest = [i for i, each in certificates.items() if not each.bound <= enough]
+    for part in (rest[start : start + step] for start in range(0, len(rest), step)):
+        by_rows = _gaps(design, (target, None), scaled[part], alphas[part], penalty)
         certificates |= dict(zip(part, by_rows, strict=True))
     return tuple(certificates[i] for i in range(len(weights)))
 
 
 def _gaps(
-    design: Design,
-    target: Array,
-    scaled: Array,
-    alphas: Array,
-    penalty: Penalty,
-    cross: Array | None = None,
+    design: Design, data: tuple[Array, Array | None], scaled: Array, alphas: Array, penalty: Penalty
 ) -> list[Certificate]:
     """Certificates of V = ``scaled`` (p, k, n): P, D, the gap and its rounding error.
 
-    By Z'Z and B = ``cross`` (k, n), or by the rows.
+    data: Y (m, n) with B (k, n), by which and Z'Z they are computed; without it, by the rows.
     """
-    (count, k, n), loss = scaled.shape, penalty.loss
-    data, target = target, loss.centred(target)
+    (count, k, n), loss, cross = scaled.shape, penalty.loss, data[1]
+    target = loss.centred(data[0])
     level = np.sqrt(design.overlaps(target, target))
     used = int(np.any(scaled.any(axis=0), axis=1).sum())
     gamma = rounding_of(design.terms + 2 * used * n + 20)
     linear = np.zeros(count)
     if cross is not None:
         point = DualPoint.of_products(design, cross, level, scaled, gamma)
-        overlap = point.square
+        overlap = point.square  # u = R
     else:
         flat = scaled.transpose(1, 0, 2).reshape(k, -1)
         pull = rest = np.tile(target, (1, count)) - design.predict(flat)
         size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
         rho = unit * (level + size)
         if np.isfinite(loss.clip):
-            rest, pull, rho, linear = _clipped(design, data, loss, rest, size, unit)
+            rest, pull, rho, linear = _clipped(design, data[0], loss, rest, size, unit)
         overlap = design.overlaps(pull, rest).reshape(count, n)
         point = DualPoint.of(design, target, pull, gamma, rho)
     primal = loss.primal(point.square, overlap, level) + alphas * penalty.value(scaled)

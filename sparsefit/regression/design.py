@@ -268,11 +268,6 @@ class Design:
         out: Array = np.divide(total, self.rms[others], out=total)
         return out
 
-    @property
-    def has_gram(self) -> bool:
-        """Whether Z'Z was formed before."""
-        return "gram" in vars(self)
-
     @cached_property
     def gram(self) -> Array:
         """Z'Z/m (k, k), read-only. Raises InputError where half of the memory is less."""

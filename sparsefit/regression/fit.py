@@ -160,8 +160,8 @@ def certificates_of(
         penalty = points[0].penalty(problem)
         alphas = problem.alpha_max(penalty) * np.array([points[i].alpha_fraction for i in solved])
         values = list(solved.values())
-        posed, sums = (problem.design, problem.target), {"cross": problem.cross, "enough": enough}
-        gaps = duality_gaps(*posed, values, alphas, penalty, **sums)
+        design, cross = problem.design, problem.cross
+        gaps = duality_gaps(design, problem.target, values, alphas, penalty, cross, enough)
         certificates = dict(zip(solved, gaps, strict=True))
     elif kind != "duality_gap":
         proof = _normal_equations if kind == "normal_equations" else _fixed_point

@@ -136,17 +136,11 @@ class WorkingSet:
 
 
 def exact_path(
-    design: Design,
-    target: Array,
-    penalty: Penalty,
-    alphas: Array,
-    *,
-    cross: Array | None = None,
+    design: Design, target: Array, penalty: Penalty, alphas: Array, cross: Array | None = None
 ) -> Points:
     """Solutions V (p, k, n), of columns of unit rms, at descending penalties alphas (p,).
 
-    design Z (m, k), target Y (m, n); cross: Z'Y/m (k, n), where the
-    caller has it already.
+    design Z (m, k), target Y (m, n); cross: Z'Y/m (k, n), where the caller has it already.
     """
     cross = design.correlate(target) if cross is None else cross
     if isinstance(penalty.loss, RootSquares):
@@ -187,10 +181,8 @@ def _by_targets(
     plain = type(penalty) is AbsoluteValues and np.ptp(penalty.weights) == 0.0 and design.in_memory
     some = len(alphas) < SEVERAL or len(cross) > FEW // 2  # else most columns enter
     grows = plain and some and len(cross) <= FEW and compiled("homotopy")
-    growing = Growing(design) if grows else None
-    solved = [
-        _along(design, target[:, part], penalty, alphas, cross[:, part], growing) for part in parts
-    ]
+    source = Growing(design) if grows else design
+    solved = [_along(source, target[:, part], penalty, alphas, cross[:, part]) for part in parts]
     return Points(
         np.concatenate([points.weights for points in solved], axis=2),
         np.all([points.complete for points in solved], axis=0),
@@ -200,14 +192,10 @@ def _by_targets(
 
 
 def _along(
-    design: Design,
-    target: Array,
-    penalty: Penalty,
-    alphas: Array,
-    cross: Array,
-    growing: Growing | None,
+    source: Design | Growing, target: Array, penalty: Penalty, alphas: Array, cross: Array
 ) -> Points:
     """The path of targets (m, q) whose blocks span all of them; cross Z'Y/m (k, q)."""
+    design = source.design if isinstance(source, Growing) else source
     k, count = len(cross), len(alphas)
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples))
     if level == 0.0 or not cross.any():
@@ -216,8 +204,8 @@ def _along(
         weights, complete, steps = descent_path(design, target[:, 0], cross[:, 0], penalty, alphas)
         return Points(weights[:, :, None], complete, steps, "descent")
     # Not on whether Z'Z was formed already: solutions depend on the data alone.
-    if growing is not None:
-        return path_on_gram(growing.values, cross, penalty, alphas, level**2, growing)
+    if isinstance(source, Growing):
+        return path_on_gram(source, cross, penalty, alphas, level**2)
     few = FEW if count >= SEVERAL else START // 8
     if k <= few or penalty.restricted(np.arange(1)) is None:
         return path_on_gram(design.gram, cross, penalty, alphas, level**2)

@@ -269,17 +269,14 @@ def kernel_for(penalty: Penalty, targets: int) -> str:
 
 
 def path_on_gram(
-    gram: Array,
-    cross: Array,
-    penalty: Penalty,
-    alphas: Array,
-    square: float,
-    growing: Growing | None = None,
+    gram: Array | Growing, cross: Array, penalty: Penalty, alphas: Array, square: float
 ) -> Points:
-    """The path on all columns of targets solved together: G (k, k), B (k, q), |Y|^2/m.
+    """The path on all columns of targets solved together: B (k, q), |Y|^2/m and G (k, k).
 
-    growing: by what G is formed as columns enter, of a penalty that `Growing` suits.
+    Of absolute values G may be formed as columns enter, by a `Growing`.
     """
+    growing = gram if isinstance(gram, Growing) else None
+    gram = gram.values if isinstance(gram, Growing) else gram
     level, name = float(np.sqrt(square)), kernel_for(penalty, cross.shape[1])
     order = in_order(penalty.blocks, 0)[0]
     if order is not None and (ordered := penalty.restricted(order)) is not None:
