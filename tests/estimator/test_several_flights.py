@@ -199,7 +199,7 @@ def test_nobody_can_tell_a_vehicle_where_there_is_no_flow():
     estimator = sf.Estimator(library=sf.Library(unknown=("response_time",)), readout=REFINED)
     found = estimator.estimate(calm)
     assert found.status == "unidentifiable"
-    assert "no cellular flow" in found.reason
+    assert "estimate each flight alone" in found.reason
 
 
 def test_goodness_is_the_flows_share_of_the_air():

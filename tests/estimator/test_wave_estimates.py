@@ -297,21 +297,6 @@ def test_the_papers_velocity_cannot_part_several():
         sf.Readout(scales="two")
 
 
-@pytest.mark.parametrize("samples", [18, 24, 48])
-def test_a_flight_too_short_to_tell_is_never_ok_and_wrong(samples):
-    for seed in range(4):
-        draw = np.random.default_rng([5, seed])
-        scale, timescale = draw.uniform(2, 10), draw.uniform(0.1, 1)
-        flow = sf.CellularFlow(scale / timescale, scale)
-        short = fly(flow, duration=(samples - 1) / 50, rate=50, seed=seed)
-        found = Estimator(readout=SEVERAL).estimate(short)
-        if found.status == "ok":
-            assert found.length_scale == pytest.approx(scale, rel=0.05)
-            assert found.mean_velocity == pytest.approx(flow.mean_velocity, rel=0.05)
-        else:
-            assert found.reason
-
-
 @pytest.mark.parametrize("readout", [SEVERAL, sf.Readout()])
 @pytest.mark.parametrize(
     ("scale", "words"),

@@ -8,7 +8,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.likelihood import diagnosis as room
-from sparsefit.likelihood.causes import FREEDOMS
+from sparsefit.likelihood.causes import FREEDOMS, Suspect
 from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
 from sparsefit.likelihood.gains import Gain, gains_of
 from sparsefit.likelihood.goodness import Constancy, _disturbances
@@ -55,18 +55,42 @@ def test_the_score_of_a_cause_is_what_freeing_it_gains():
 
 
 def test_sizes_that_cannot_be_are_no_causes():
+    """Of a log of 12 s: a third to three times, a fifth of half of it, a change as large as all."""
     _, posterior = posterior_of(flight_of())
-    assert plausible(posterior, posterior)
-    for name, value in (
-        *(("response_time", 4 * TAU), ("velocity_scale", 0.2), ("wind_x", 1e3), ("latency", 3.0)),
-        *(("lag", 2 * TAU), ("mass_rate", -1.0), ("quadratic_drag", -1.0)),
+    speed = posterior.legs[0].log.speed
+    for name, size in (
+        *(("response_time", 3.0 * TAU), ("velocity_scale", 1.0 / 3.0), ("thrust_scale", 3.0)),
+        *(("latency", -1.2), ("mass_rate", -1.0 / 12.0), ("growth", 1.0 / 6.0), ("wind_x", -speed)),
+        *(("wind_growth_y", speed / 6.0), ("lag", -TAU), ("quadratic_drag", -1.0 / speed)),
     ):
-        model = posterior.model.at({name: value})
-        legs = (replace(posterior.legs[0], model=model),)
-        assert not plausible(replace(posterior, legs=legs), posterior), name
+        outward = 0.03 if name != "velocity_scale" else -0.03
+        for share in (1.0 - outward, 1.0 + outward):
+            model = posterior.model.at({name: share * size})
+            legs = (replace(posterior.legs[0], model=model),)
+            there = plausible(replace(posterior, legs=legs), posterior)
+            assert there == (share == 1.0 - outward), name
     model = posterior.model.free("response_time").at({"response_time": -TAU})
     free = replace(posterior, legs=(replace(posterior.legs[0], model=model),))
     assert plausible(free, free)  # what was free from the start has the size that it has
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [
+        *((3.28, "; position and velocity may both be in feet"), (9.8, "; the thrust may be in g")),
+        *((1 / 3.28, "; the thrust may be in feet/s^2"), (3.0, ""), (1.0, "")),
+    ],
+)
+def test_a_thrust_off_by_the_ratio_of_two_units_is_told_or_a_wind_of_that_pull(ratio, words):
+    tau, thrust = 0.5, 3.0 - 4.0j
+    wind = (ratio - 1.0) * tau * thrust  # whose pull makes up for what the thrust lacks
+
+    def unit(name, *size, thrust=thrust):
+        return Suspect(name, size, 0.0, 0.0, name).unit(tau, thrust)
+
+    assert unit("thrust_scale", ratio - 1.0) == unit("wind", wind.real, wind.imag) == words
+    assert unit("wind", -wind.imag, wind.real) == unit("lag", ratio - 1.0) == ""
+    assert unit("wind", wind.real, wind.imag, thrust=0j) == ""
 
 
 def test_nothing_is_named_where_nothing_is_wrong():

@@ -461,8 +461,12 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
     assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
 
 
-def test_passes_that_go_to_and_fro_across_the_maximum_are_shortened(monkeypatch):
-    """Steps from x to -x of a likelihood that is lower by .1 x: no pass falls by 1, none ends."""
+@pytest.mark.parametrize(("bend", "slope", "reach"), [(1.0, 0.1, 2.0), (10.0, 0.0, 3.0)])
+def test_passes_that_go_to_and_fro_or_fall_are_shortened(bend, slope, reach, monkeypatch):
+    """Steps from x to -x of a likelihood that is lower by .1 x: no pass falls by 1, none ends.
+
+    Or to -2 x, where it falls by more: a half of such a step rises.
+    """
 
     def at(x):
         model = SimpleNamespace(names=(), disturbance=SimpleNamespace(levels={}))
@@ -471,8 +475,9 @@ def test_passes_that_go_to_and_fro_across_the_maximum_are_shortened(monkeypatch)
     def step_of(legs):
         x, smoothed = legs[0].x, (SimpleNamespace(squares=np.zeros((0, 2))),)
         return SimpleNamespace(
-            reached=-x * x - 0.1 * x, gain=x * x, levels=[np.zeros((0, 0))], blind=(),
-            smoothed=lambda: smoothed, moved=lambda _, share=1.0, __=None: at(x - 2.0 * share * x),
+            reached=-bend * x * x - slope * x, gain=bend * x * x, levels=[np.zeros((0, 0))],
+            blind=(), smoothed=lambda: smoothed,
+            moved=lambda _, share=1.0, __=None: at(x - reach * share * x),
         )  # fmt: skip
 
     monkeypatch.setattr(room.Step, "of", step_of)
