@@ -1,7 +1,6 @@
 """The front door: paths, statuses, repairs, and back-ends that misbehave."""
 
 import dataclasses
-import time
 from dataclasses import dataclass
 from importlib import import_module
 from typing import ClassVar
@@ -64,10 +63,9 @@ class WrongFastPath(Lasso):
     wrong: str = "zeros"
 
     def solve_path(self, problem, alpha_fractions):
-        time.sleep(0.01)
         zeros = np.zeros((problem.columns, problem.targets))
         answer = {
-            "zeros": Solution(zeros),
+            "zeros": Solution(zeros, shared_seconds=7.0),
             "nan": Solution(zeros * np.nan),
             "none": Solution(None, "error", "gave up"),
             "failed zeros": Solution(zeros, "error", "gave up"),
@@ -135,7 +133,7 @@ def test_the_referee_repairs_a_wrong_fast_path(wrong):
     backend = WrongFastPath(0.1, wrong=wrong)
     found = sf.fit(PROBLEM, backend)
     assert (found.status, found.repaired) == ("ok", True)
-    assert found.seconds > 0.01  # of the fast path and of the referee
+    assert (found.seconds > 7.0) == (wrong == "zeros")  # of the fast path and of the referee
     assert found.backend is backend or found.backend == backend
     expected = sf.fit(PROBLEM, backends.get("lasso", alpha_fraction=0.1))
     assert found.weights == pytest.approx(expected.weights, abs=1e-4)

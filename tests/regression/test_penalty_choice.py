@@ -86,11 +86,9 @@ def test_auto_is_the_point_fit_at_the_fraction_it_chose(name, selection):
 
 @every
 @both
-def test_the_choice_does_not_depend_on_units_or_on_when_it_is_made(name, selection):
+def test_the_choice_does_not_depend_on_units(name, selection):
     problem = noisy()
     choice = sf.fit(problem, auto(name, selection))
-    again = sf.fit(problem, auto(name, selection))
-    assert np.array_equal(again.criterion, choice.criterion)
     units = np.geomspace(1e-3, 1e3, problem.columns)
     scaled = dataclasses.replace(
         problem, theta=problem.theta * units, target=problem.target * 1024.0
@@ -173,6 +171,7 @@ def divergence(problem, penalty, name, alpha, **more):
         ("sparse-group-lasso", {"l1_ratio": 0.3}),
         ("ridge", {}),
         ("slope", {}),
+        ("fused-lasso", {}),
     ],
 )
 def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
@@ -186,22 +185,12 @@ def test_degrees_of_freedom_are_the_divergence_of_the_fit(name, more, fraction):
     assert found == pytest.approx(divergence(problem, penalty, name, alpha, **more), abs=2e-3)
 
 
-def test_degrees_of_freedom_of_runs_are_how_many_there_are():
-    problem, backend = regular(targets=1), backends.get("fused-lasso")
-    penalty = backend.penalty(problem)
-    for fit in sf.path(problem, backend, 8).fits:
-        values = fit.weights * problem.design.rms[:, None]
-        pull = problem.cross - problem.design.gram @ values
-        found = degrees_of_freedom(problem.design, values, pull, fit.alpha, penalty)
-        run = np.cumsum(np.abs(np.diff(values[:, 0], prepend=np.inf)) > 1e-7)
-        assert found == pytest.approx(len(set(run[np.abs(values[:, 0]) > 1e-7])))
-
-
 def test_degrees_of_freedom_of_nothing_and_of_everything():
     design, none = regular().design, np.zeros((12, 2))
     joint = GroupNorms(np.repeat(np.arange(4), 3), np.ones(4))
     assert degrees_of_freedom(design, none, none, 0.1, joint) == 0
     full = np.random.default_rng(0).normal(size=(12, 2))
+    assert degrees_of_freedom(design, full, none, 1e9, joint) == 0
     assert degrees_of_freedom(design, full, none, 1e-12, joint) == pytest.approx(24, abs=1e-6)
     assert degrees_of_freedom(design, full, none, 0.1, lasso_penalty(12)) == 24
 
@@ -220,7 +209,7 @@ def test_effective_samples_of_an_autoregression(correlation):
     ("residual", "least", "most"),
     [
         (np.zeros((9, 2)), 9, 9),
-        (np.ones((3, 1)), 3, 3),
+        *((np.ones((m, 1)), max(m, 2), max(m, 2)) for m in (1, 3)),
         (np.ones((100, 1)), 0, 9.9),
         (np.arange(1000.0)[:, None] - 499.0, 0, 19.9),
     ],

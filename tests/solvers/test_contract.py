@@ -287,20 +287,6 @@ def test_orthonormal_columns_give_the_prox_of_their_correlations(case, seed):
     )
 
 
-def test_orthonormal_columns_give_hard_thresholding_and_projections():
-    problem = orthonormal()
-    exact = solved(problem, backends.get("least-squares")).weights * problem.design.rms[:, None]
-    assert exact == pytest.approx(problem.cross, rel=1e-12)
-    backend = backends.get("stlsq", threshold=0.4, ridge=0.25, unbias=False)
-    kept = np.abs(problem.cross / 1.25) >= 0.4 * np.sqrt(problem.target_square)
-    assert 0 < kept.sum() < kept.size
-    found = solved(problem, backend).weights * problem.design.rms[:, None]
-    assert found == pytest.approx(np.where(kept, problem.cross / 1.25, 0.0), rel=1e-12)
-    unbiased = dataclasses.replace(backend, unbias=True)
-    found = solved(problem, unbiased).weights * problem.design.rms[:, None]
-    assert found == pytest.approx(np.where(kept, problem.cross, 0.0), rel=1e-10, abs=1e-13)
-
-
 @every
 def test_fewer_samples_than_columns(case):
     wide = RegressionProblem.from_arrays(PROBLEM.theta[:7], PROBLEM.target[:7], PROBLEM.groups)

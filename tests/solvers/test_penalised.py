@@ -276,26 +276,6 @@ def fitted(problem, fraction=0.1, **more):
     return sf.fit(problem, backends.get("square-root-lasso", alpha_fraction=fraction, **more))
 
 
-def test_orthonormal_columns_by_hand():
-    """Soft thresholds at t = a rho/y, with rho^2 = y^2 - |C|^2 + sum min(|C|, t)^2."""
-    problem = orthonormal()
-    size, square = np.abs(problem.cross), problem.target_square.sum()
-    alpha = 0.4 * size.max()
-    low, high = 0.0, size.max()
-    for _ in range(200):
-        middle = (low + high) / 2
-        rho = np.sqrt(square - np.sum(size**2) + np.sum(np.minimum(size, middle) ** 2))
-        low, high = (middle, high) if middle < alpha * rho / np.sqrt(square) else (low, middle)
-    expected = np.sign(problem.cross) * np.maximum(size - low, 0.0)
-    assert 0 < np.count_nonzero(expected) < expected.size
-    assert fitted(problem, 0.4).weights * problem.design.rms[:, None] == pytest.approx(
-        expected, abs=1e-9
-    )
-    cones = fitted(problem, 0.4, solver="clarabel")
-    assert (cones.certificate.value < 1e-4, cones.repaired) == (True, False)
-    assert cones.weights * problem.design.rms[:, None] == pytest.approx(expected, abs=1e-4)
-
-
 def test_a_solution_is_one_of_the_lasso_at_the_penalty_that_its_residual_sets():
     problem = flight_problem(velocity_noise=0.3)
     found = fitted(problem, 0.05)
