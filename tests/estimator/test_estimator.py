@@ -283,12 +283,6 @@ def test_no_piece_of_a_drifter_is_called_a_cellular_flow(track, days, first):
     assert not estimate.repairs.words
 
 
-def test_a_grid_of_metres_is_refused_for_a_sea(track):
-    flight = sf.Flight.from_positions(EVERY * np.arange(5 * DAY), track[: 5 * DAY], WATER)
-    with pytest.raises(sf.InputError, match="too small for a flight of"):
-        sf.Estimator().estimate(flight)
-
-
 def test_positions_alone_tell_a_cellular_flow():
     logged = fly(sf.CellularFlow(6.0, 4.0), duration=15.0, noise=(0.0, 0.002))
     flight = sf.Flight.from_positions(logged.time, logged.position, VEHICLE)

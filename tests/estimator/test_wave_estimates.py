@@ -14,7 +14,7 @@ from sparsefit import backends
 from sparsefit.cli.printed import ReadLog, lines
 from sparsefit.estimator import Doubt
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.estimator.measure import _loose, measure_flow, read_waves
+from sparsefit.estimator.measure import _loose, lobes, measure_flow, read_waves
 from sparsefit.flows import ShapedCells
 from sparsefit.logs.checks import LogQuality
 from sparsefit.model import Start, propose
@@ -210,6 +210,30 @@ def test_waves_are_loose_but_for_cells_of_one_flow_or_of_two():
     # The weaker flow has a mean square of (4 + 4)/4 m^2/s^2: less than gusts of 1.5 m/s, not 1.4.
     assert [loose(*cells, *more, turbulence=own) for own in (1.4, 1.5)] == [False, True]
     assert not loose(*cells, turbulence=9.0)
+
+
+def test_proposals_of_one_lobe_are_the_one_of_fewest_parameters():
+    def proposal(shape, waves, **more):
+        more = {"velocity": None, **more}
+        return SimpleNamespace(shape=shape, wavevectors=np.array(waves), **more)
+
+    waves = np.array([[1.0, 0.0], [0.0, 1.0]])
+    square, axis = proposal("square", waves + 0.02), proposal("axis", -waves[::-1])
+    drifting = proposal("axis", waves, velocity=(0.1, 0.0))
+    far, alone = proposal("axis", np.add(waves, [0.2, 0.0])), proposal("several", waves[:1])
+    twice = proposal("pair", [[1.0, 0.0], [1.01, 0.0]])  # of which one wave is near both
+    every = [drifting, square, far, alone, axis, twice]
+    for order in (every, every[::-1]):
+        assert {id(own) for own in lobes(order, 0.1)} == {
+            id(own) for own in (axis, far, alone, twice)
+        }
+    assert lobes([drifting, square], 0.1) == [drifting]
+    prepared = sf.Estimator().prepare(FLIGHT)
+    (stride,), velocity = prepared.strides, prepared.parts[0].velocity
+    assert stride == pytest.approx(0.01 * np.sqrt(2 * np.mean(velocity**2)))  # at 100 Hz
+    coarse = replace(prepared, library=sf.Library(sf.model.LengthScaleGrid(1.9 * stride, 8.0)))
+    assert [coarse.too_fast(share * stride) for share in (2.9, 3.1)] == [[1], []]
+    assert prepared.too_fast(2.9 * stride) == []  # shorter than half of the least of the search
 
 
 def test_the_heading_of_a_rhomb_halves_the_angle_of_its_waves():

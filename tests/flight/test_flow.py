@@ -147,20 +147,6 @@ def test_a_flow_of_ones_own_has_a_formula_and_a_period_and_can_be_summed():
         type("Unfinished", (Flow,), {"period": 1.0})()
 
 
-def test_flights_through_a_drifting_pattern_are_flights_in_its_frame():
-    # In the frame of the pattern the flow is steady, and thrust is higher by drift/tau.
-    drift, start, vehicle = np.array([0.7, -0.3]), (1.0, 0.5), PointMassVehicle(0.5, (5.0, 3.0))
-    moving = ShapedCells(6.0, 4.0, heading=0.2, drift=tuple(drift))
-    still = ShapedCells(6.0, 4.0, heading=0.2)
-    other = PointMassVehicle(0.5, tuple(np.array([5.0, 3.0]) - drift / 0.5))
-    options = {"duration": 2.0, "sample_rate": 50.0, "seed": 0, "initial_position": start}
-    flown = simulate_flight(moving, vehicle, **options)
-    seen = simulate_flight(still, other, initial_velocity=-drift, **options)
-    moved = seen.position + flown.time[:, None] * drift
-    np.testing.assert_allclose(flown.position, moved, atol=1e-9)
-    np.testing.assert_allclose(flown.velocity, seen.velocity + drift, atol=1e-9)
-
-
 @pytest.mark.parametrize("name", FLOWS)
 def test_each_sample_of_a_flight_follows_from_the_last_by_the_slow_reference(name):
     flow, vehicle = FLOWS[name], PointMassVehicle(0.5, (5.0, 3.0))

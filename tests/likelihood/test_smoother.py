@@ -244,6 +244,15 @@ def test_far_from_the_optimum_levels_take_the_steps_of_a_secant():
         assert np.isinf(gain)
 
 
+def test_near_the_optimum_levels_take_newtons_steps_and_tell_their_gain():
+    """Scores of 5, -3 and 0 with informations of 50, 60 and 70, in logarithms of the variances."""
+    squares, steps = np.array([[55.0, 50], [47, 50], [50, 50]]), LevelSteps(np.full(3, 1e-9), 0)
+    for information in (np.zeros((0, 0)), np.diag([50.0, 60.0, 70.0])):
+        change, gain = steps.change([0.1, 0.05, 0.2], squares, information)
+    np.testing.assert_allclose(change, np.log1p([0.1, -0.05, 0.0]), rtol=1e-8)
+    assert gain == pytest.approx(0.5 + 0.15)
+
+
 @pytest.mark.parametrize(
     ("speed", "tau", "interval", "step"),
     [(10.0, 0.3, 0.1, 0.1 / np.pi), (0.1, 0.3, 0.1, 0.15), (0.1, 0.3, 0.4, 0.45)],

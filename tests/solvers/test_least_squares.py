@@ -117,14 +117,6 @@ def test_pysindys_own_is_a_back_end_whose_support_is_certified(monkeypatch):
         backends.get("pysindy")
 
 
-def test_an_empty_support_has_no_weights_and_says_why():
-    found = sf.fit(fixture(), backends.get("stlsq", mode="pysindy", threshold=1e3))
-    assert found.status == "unidentifiable"
-    assert "empty support" in found.reason
-    assert "lower it" in found.reason
-    assert np.isnan(found.weights).all()
-
-
 def test_the_empty_support_of_one_target_is_named():
     theta = np.random.default_rng(0).normal(size=(30, 3))
     target = np.column_stack([theta[:, 0], 1e-3 * theta[:, 1]])
