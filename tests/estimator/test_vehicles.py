@@ -3,13 +3,16 @@
 import math
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import sparsefit as sf
 from sparsefit.errors import InputError
+from sparsefit.estimator.estimate import flight_fields
 from sparsefit.flight.vehicle import turning
+from sparsefit.likelihood import Model, StreamPattern
 from tests.problems import VEHICLE, fly
 
 FLOW = sf.CellularFlow(8.0, 4.0)
@@ -122,6 +125,23 @@ def test_the_wrong_law_of_drag_is_named():
     exact = replace(fly(cells, drag, duration=20.0, rate=50.0, seed=5), vehicle=VEHICLE)
     unknown = sf.Library(unknown=("response_time",))
     assert "more quadratic" in sf.Estimator(library=unknown).estimate(exact).reason
+
+
+def test_a_vehicle_is_read_off_the_elements_of_its_flight():
+    """The second of two: a constant thrust is in its log, a measured one in no element."""
+    elements = {"thrust_bias_x": 0.1, "thrust_bias_y": -0.2, "quadratic_drag": 0.05, "growth": 0.01}
+    pattern = StreamPattern("axis", (8.0, 4.0, 0.0, 0.0))
+    model = Model(pattern, {"response_time": 0.5, **elements}).free(*elements)
+    errors = {f"{name}@2": 0.1 * size for name, size in elements.items()} | {"growth": 0.002}
+    for push, base in ((np.ones((4, 2)), (5.0, 3.0)), (np.outer(np.arange(4), [0, 1]), (0.0, 0.0))):
+        leg = SimpleNamespace(model=model, nodes=SimpleNamespace(push=push))
+        found = flight_fields(SimpleNamespace(legs=(leg, leg), error=errors.get), 1, VEHICLE)
+        assert found["thrust_acceleration"] == pytest.approx((base[0] + 0.1, base[1] - 0.2))
+    assert (found["drag"], found["causes"]) == (pytest.approx(0.1), {"growth": 0.01})
+    sure = found["vehicle_uncertainty"]
+    assert (sure.drag, *sure.thrust_acceleration) == pytest.approx((0.01, 0.01, -0.02))
+    assert sure.growth_interval == pytest.approx((0.01 - 0.00392, 0.01 + 0.00392), rel=1e-4)
+    assert sure.response_time is None  # it was not sought
 
 
 @pytest.mark.parametrize("free", [(), ("drag",)])

@@ -168,14 +168,6 @@ def test_shapes_of_two_waves_may_turn_and_drift(shape, velocity, freer):
     assert set(groups) & {"turn", "drift", "wind"} == freer
 
 
-def test_turbulence_is_a_level_and_no_cause():
-    gusts = sf.flows.Turbulence(intensity=1.0, length=4.0, seed=3)
-    logs, posterior = posterior_of(flight_of(flow=sf.flows.SuperposedFlow((FLOW, gusts))))
-    diagnosis = diagnose(logs, posterior)
-    assert diagnosis.turbulence_gain > 20
-    assert diagnosis.posterior.model.disturbance.processes[0].level == pytest.approx(1.0, rel=0.6)
-
-
 def test_white_innovations_are_white_and_coloured_ones_are_not():
     rng = np.random.default_rng(4)
     chances = [whiteness(rng.normal(size=(300, 4))) for _ in range(200)]
