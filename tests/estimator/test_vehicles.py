@@ -12,7 +12,7 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.estimator.estimate import flight_fields
 from sparsefit.flight.vehicle import turning
-from sparsefit.likelihood import Model, StreamPattern
+from sparsefit.likelihood import FlightLog, Model, StreamPattern
 from tests.problems import VEHICLE, fly
 
 FLOW = sf.CellularFlow(8.0, 4.0)
@@ -78,8 +78,11 @@ def test_a_measured_thrust_and_its_own_unknowns():
 
 
 def test_an_interval_holds_where_noise_of_the_thrust_is_weak_process_noise():
-    right = estimated(flown(LINEAR, circling=True, thrust_noise=0.1, **NOISE))
+    flight = flown(LINEAR, circling=True, thrust_noise=0.1, **NOISE)
+    other, right = replace(flight, vehicle=replace(LINEAR, thrust_scale=2.0)), estimated(flight)
     assert abs(right.mean_velocity - 8.0) < 4 * right.uncertainty.mean_velocity
+    noises = [FlightLog.of_flight(own).thrust_noise for own in (flight, other)]
+    assert noises == pytest.approx([0.1, 0.2], rel=0.1)
 
 
 @pytest.mark.parametrize("period", [4.0, 8.0])

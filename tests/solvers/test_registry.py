@@ -186,10 +186,9 @@ def test_a_command_is_handed_a_folder_and_timed_between_its_lines(tmp_path):
     design = Design(data.theta, 50)
     cross = design.correlate(data.target)
     asked = (design, data.target, penalty, np.array([0.4, 0.1]), 1e-8)
-    weights, (wall, _) = recipe.make().timed(*asked)
+    weights, _ = recipe.make().timed(*asked)
     expected = [2.0 * np.clip(cross / 0.5, -a, a) / 0.5 for a in (0.4, 0.1)]
     np.testing.assert_allclose(weights, expected)
-    assert 0.0 < wall < 10.0
     np.testing.assert_array_equal(recipe.make().path(*asked), weights)
     (answered,) = answers(recipe.make(), data, penalty, (1.0,))
     assert answered.status == "ok"

@@ -52,9 +52,7 @@ def test_deeds_of_solvers_are_their_own_cases(tmp_path):
     text = text.replace("repeats = 4", "repeats = 2").replace("limit = 5.0", "limit = 3.0")
     text += "[run]\nmax_memory = 3000\n"
     study = load(tmp_path, text + CORRELATED + "count = 2\n" + solvers + lasso)
-    began = time.monotonic()
     study.run()
-    assert time.monotonic() - began < 150.0
     cases = study.cases
     first = cases[cases["flight"] == 0].set_index("solver")
     ends = first["status"].to_dict()
