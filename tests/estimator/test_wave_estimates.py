@@ -173,6 +173,16 @@ def test_the_command_line_tells_the_shape(turned):
     assert "drift" not in words
 
 
+def test_cells_that_drift_are_told_with_their_drift():
+    flow = ShapedCells(10.0, 4.0, heading=0.3, drift=(0.8, -0.5))
+    found = LADDER.estimate(fly(flow, duration=8.0, noise=(0.1, 0.02)))
+    assert (found.status, found.shape) == ("ok", "square")
+    for drift, error, true in zip(
+        found.drift, found.shape_uncertainty.drift, (0.8, -0.5), strict=True
+    ):
+        assert abs(drift - true) < 4 * error < 0.2
+
+
 @pytest.mark.parametrize(("scale", "headings"), [(5.5, (0.3, -0.5)), (2.0, (0.0, 0.0))])
 def test_two_flows_are_read_each_by_itself(scale, headings):
     """Waves of half the length along the same lines are no waves that free ones are told from."""

@@ -137,6 +137,8 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     ]
     smoothed = forward.backward(change)
     np.testing.assert_allclose(smoothed.track, track + given, rtol=1e-8, atol=1e-10)
+    (moved,) = Step.of([replace(leg, model=replace(model, fixed=pattern.names))]).moved((smoothed,))
+    np.testing.assert_allclose(moved.track, smoothed.track)
     # the derivative of log L by the logarithm of each variance, and the average information
     columns = [design]
     for level, name in enumerate(model.disturbance.levels):
@@ -166,6 +168,14 @@ def test_gusts_change_with_the_way_through_them_and_other_processes_with_time():
     np.testing.assert_allclose(pace[:, 7:9], expected[:, None].repeat(2, axis=1))
     np.testing.assert_allclose(pace[:, 4:6], pace[:, 7:9] * [[0.5], [1.0], [1.5]])
     assert (pace[:, [0, 1, 2, 3, 6, 9]] == 1.0).all()
+    walk = replace(swell, rate=0.0)  # which starts from nothing
+    spaces = [
+        replace(model, disturbance=Disturbance(processes=(own,))).space() for own in (swell, walk)
+    ]
+    assert [(own.spread[3, 4], own.kicks[3, 4]) for own in spaces] == [
+        (0.1**2, 0.1**2),
+        (0.0, 0.1**2),
+    ]
 
 
 def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():

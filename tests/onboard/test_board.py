@@ -140,7 +140,7 @@ def test_c_and_numpy_are_one_recurrence(name):
         np.testing.assert_allclose(other.value, own.value, rtol=1e-6, atol=1e-8)
         np.testing.assert_allclose(other.error, own.error, rtol=1e-5, atol=1e-12)
         np.testing.assert_allclose(other.flow, own.flow, rtol=1e-5, atol=1e-6)
-        tests = [[a.innovation, a.correlation, a.unexplained] for a in (own, other)]
+        tests = [[a.innovation, a.correlation, a.unexplained, a.rival] for a in (own, other)]
         np.testing.assert_allclose(*tests, rtol=1e-5, atol=1e-7)
     assert (followed > 5) == (name != "turbulence")
 

@@ -48,12 +48,13 @@ class Plain:
     name: ClassVar[str] = "plain"
     certificate_kind: ClassVar[str] = "fixed_point"
     answer: Solution = dataclasses.field(default_factory=lambda: Solution(None))
+    kept: int = 99
 
     def solve(self, problem):
         return self.answer
 
     def next_weights(self, problem, weights):
-        return weights
+        return np.where(np.arange(weights.size).reshape(weights.shape) < self.kept, weights, 0.0)
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,16 @@ def test_the_certificate_and_not_the_solvers_word_decides():
         assert found.status == "inaccurate"
         assert found.certificate.value > least
         assert "duality_gap" in found.reason
+
+
+def test_the_certificate_of_a_fixed_point_is_the_share_of_the_support_that_moves():
+    weights = np.where(np.arange(24) < 5, 1e-12, 0.0).reshape(12, 2)
+    for kept, share in ((4, 1 / 5), (0, 1.0), (5, 0.0)):
+        found = sf.fit(PROBLEM, Plain(answer=Solution(weights), kept=kept))
+        assert found.certificate.value == pytest.approx(share)
+    large = sf.fit(PROBLEM, Plain(answer=Solution(1e12 * weights), kept=4))
+    fitted = [np.linalg.norm(own) for own in (PROBLEM.theta[:, 2], PROBLEM.target)]
+    assert large.certificate.value == pytest.approx(max(1 / 5, fitted[0] / fitted[1]))
 
 
 def test_a_path_with_no_grid_given_has_thirty_points_down_to_a_thousandth():
