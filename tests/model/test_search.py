@@ -192,7 +192,7 @@ def test_lobes_are_the_tops_of_parabolas(gains, lobes, monkeypatch):
     np.testing.assert_allclose(Search.line(own, None), lobes)
 
 
-def test_a_shape_is_tried_again_only_where_it_comes_near_its_own_best():
+def test_a_shape_is_tried_again_only_where_it_comes_near_its_own_best(monkeypatch):
     search = Search.of([samples_of(flow_of(AXIS, (0.9,)), 0.05)], [VEHICLE], LIBRARY)
     ladder = Ladder(search)
     assert ladder.descend(AXIS, np.array([0.91])) is not None
@@ -201,6 +201,10 @@ def test_a_shape_is_tried_again_only_where_it_comes_near_its_own_best():
     there = fitted(search.rows, PAIR, np.array([0.9, 0.9, 0.9, -0.9]))
     ladder.tried = [there, fitted(search.rows, PAIR, -there.q)]  # waves of either sign are equal
     assert [fit for fit, _ in ladder.ranked()] == [there]
+    monkeypatch.setattr(Search, "possible", lambda *_: False)
+    ladder.tried = []
+    ladder.lines(0.9)  # of which none is plausible: the deepest lobe as it is
+    assert [fit.q.tolist() for fit in ladder.tried] == [search.lobes[:1].tolist()]
 
 
 def test_waves_that_are_joined_keep_their_drift():
