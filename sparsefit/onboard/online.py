@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from sparsefit.estimator.prepare import Prepared
 
 WIDEST = 16.0  # the largest length scale over the least: beyond it the path held is too short
-NOON = 10**18  # ns that the first sample's clock is given: others may come before it
+ERA = 4.5e9  # [s]: no clock of a flight is farther from zero, in either direction
+NOON = 9 * 10**18  # ns that the first sample's clock is given: within an era any may come before it
 _WORDS = {
     BoardDoubt.FEW_SAMPLES: (Doubt.FEW_SAMPLES, "too few samples for a search; fly on"),
     BoardDoubt.NO_FLOW: (Doubt.NO_FLOW, "no cells of one size and heading explain the flight"),
@@ -146,8 +147,8 @@ class OnlineEstimator:
             thrust: the measured thrust acceleration (x, y) [m/s^2], with every sample or with none.
 
         Raises:
-            InputError: if a value is not finite or above 1e7, or the time is out of line. The
-                sample is rejected and the state does not change.
+            InputError: if a value is not finite or above 1e7, or the time is beyond 4.5e9 s or out
+                of line. The sample is rejected and the state does not change.
         """
         with self._lock:
             if self._count and self._pushed is not (thrust is not None):
@@ -156,14 +157,17 @@ class OnlineEstimator:
             try:
                 clock = round((time - first) * 1e9) + NOON
                 (x, y), (vx, vy) = position, velocity
-                status = self._board.update(clock, x, y, vx, vy, thrust)
+                status = BAD_SAMPLE
+                if abs(time) < ERA:
+                    status = self._board.update(clock, x, y, vx, vy, thrust)
             except (TypeError, ValueError, OverflowError):  # no numbers, or none of a clock
                 status = BAD_SAMPLE
             if status not in (BAD_SAMPLE, BAD_TIME):
                 self._first, self._pushed = first, thrust is not None
                 self._count += 1
                 return
-        finite("time", time, "s")
+        if not abs(finite("time", time, "s")) < ERA:
+            raise InputError(f"time is {time:g}, beyond {ERA:g} s: give it in seconds")
         pair("position", position, "m")
         pair("velocity", velocity, "m/s")
         if thrust is not None:

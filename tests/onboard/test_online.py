@@ -149,10 +149,19 @@ def test_positions_from_another_origin_are_not_read_as_the_flow_that_was(clock):
     np.testing.assert_allclose([own.mean_velocity for own in sure], 10.0, rtol=0.05)
 
 
-@pytest.mark.parametrize("thrust", [(1.0,), 3.0, (math.nan, 1.0)])
-def test_a_thrust_that_is_no_pair_is_named(thrust):
-    with pytest.raises(sf.InputError, match="thrust"):
-        online_of().update(0.0, (0.0, 0.0), (0.0, 0.0), thrust)
+def test_an_odd_first_sample_does_not_deafen(flight, whole):
+    online, rest = online_of(), ((0.0, 0.0), (0.0, 0.0))
+    for sample, words in (
+        *(((0.0, *rest, thrust), "thrust") for thrust in ((1.0,), 3.0, (math.nan, 1.0))),
+        *(((stamp, *rest), "in seconds") for stamp in (-1e18, 1.7e12)),
+    ):
+        with pytest.raises(sf.InputError, match=words):
+            online.update(*sample)
+    online.update(1.7e9, *rest)  # of a satellite clock, before those since boot
+    for row in range(2):
+        with contextlib.suppress(sf.InputError):
+            fed(online, flight, row, row + 1)
+    assert fed(online, flight, 2).estimate().status == whole.status == "ok"
 
 
 def test_bad_samples_are_refused_and_change_nothing(flight):
