@@ -61,7 +61,7 @@ def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[
     speed = max(float(np.abs(own.velocity).max()) for own in prepared.parts)
     if float(np.abs(phi - phi.mean(axis=0)).max()) <= 1e-6 * speed:  # smoothing errs by 1e-9
         yield unidentifiable(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
-    for number, flight in enumerate(prepared.flights, 1):
+    for number, flight in enumerate(prepared.sound, 1):
         latency = prepared.latencies[number - 1]
         share = apart(flight) if flight.velocity_measured else 0.0
         if latency and share > DISAGREES and not (free == "auto" or "latency" in free):
@@ -124,7 +124,7 @@ def doubts_of_flow(
     if result is None or not result.detected:
         alone = "; estimate each flight alone: frames or units may differ"
         others = alone if len(prepared.flights) > 1 else ""
-        for number, flight in enumerate(prepared.flights, 1):
+        for number, flight in enumerate(prepared.sound, 1):
             if flight.velocity_measured:
                 ways, summed, noise = ways_of(flight)
                 size = math.sqrt(float(np.sum(summed**2))) + 1e-300

@@ -186,7 +186,8 @@ def measure_flow(
     """
     if not proposals:
         return None
-    logs = [FlightLog.of_flight(flight) for flight in prepared.flights]
+    pairs = zip(prepared.flights, prepared.sound, strict=True)
+    logs = [FlightLog.of_flight(flight, sound.position) for flight, sound in pairs]
     evident = ("latency",) if any(prepared.latencies) else ()
     asked = evident if free == "auto" else free
     names = tuple(dict.fromkeys((*prepared.library.unknown, *asked)))

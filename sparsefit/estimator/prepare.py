@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, TypeVar, cast
 
@@ -19,6 +19,7 @@ from sparsefit.likelihood.nodes import noise_of
 from sparsefit.model import Library, Search, flight_weights
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative, Samples
+from sparsefit.rows.clean import pieces_of
 
 FEWEST = 20  # rows of each of several flights, to estimate its noise
 RESOLVED = 3.0  # least samples per length scale that resolve the flow
@@ -53,7 +54,14 @@ class Prepared(Brief):
     @cached_property
     def latencies(self) -> list[float]:
         """The latency [s] of each flight as its log alone shows it; 0: none."""
-        return [latency_of(flight) for flight in self.flights]
+        return [latency_of(flight) for flight in self.sound]
+
+    @cached_property
+    def sound(self) -> list[Flight]:
+        """The flights with outliers of the position replaced, where time steps are even."""
+        logs = (pieces_of(flight, repair=True, even=False)[0] for flight in self.flights)
+        pairs = zip(self.flights, logs, strict=True)
+        return [replace(flight, position=log.state[:, :2]) for flight, log in pairs]
 
     @cached_property
     def strides(self) -> list[float]:

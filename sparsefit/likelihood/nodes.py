@@ -51,13 +51,18 @@ class FlightLog:
             object.__setattr__(self, name, full)
 
     @classmethod
-    def of_flight(cls, flight: Flight) -> FlightLog:
-        """Return the readings of a flight; its velocity only where it was measured."""
+    def of_flight(cls, flight: Flight, sound: Array | None = None) -> FlightLog:
+        """Return the readings of a flight; its velocity only where it was measured.
+
+        sound: positions (m, 2) [m] with outliers, which are no readings, replaced.
+        """
         thrust = flight.vehicle.thrust_acceleration if flight.thrust is None else flight.thrust
         velocity = flight.velocity if flight.velocity_measured else np.nan * flight.velocity
         noise = 0.0 if flight.thrust is None else noise_of(flight.thrust)
         scaled = noise * abs(flight.vehicle.thrust_scale)
-        return cls(flight.time, flight.position, velocity, np.asarray(thrust), scaled)
+        place = flight.position if sound is None else sound
+        position = np.where(place == flight.position, place, np.nan)
+        return cls(flight.time, position, velocity, np.asarray(thrust), scaled)
 
     @property
     def origin(self) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
     from sparsefit.estimator.prepare import Prepared
 
 WIDEST = 16.0  # the largest length scale over the least: beyond it the path held is too short
-ERA = 4.5e9  # [s]: no clock of a flight is farther from zero, in either direction
-NOON = 9 * 10**18  # ns that the first sample's clock is given: within an era any may come before it
+ERA = 4.5e9  # [s]: no clock of a flight is farther from zero
+NOON = 9 * 10**18  # ns that the first sample's clock is given: all others are within two eras
 _WORDS = {
     BoardDoubt.FEW_SAMPLES: (Doubt.FEW_SAMPLES, "too few samples for a search; fly on"),
     BoardDoubt.NO_FLOW: (Doubt.NO_FLOW, "no cells of one size and heading explain the flight"),
@@ -154,14 +155,12 @@ class OnlineEstimator:
             if self._count and self._pushed is not (thrust is not None):
                 raise InputError("give a thrust with every sample or with none; restart() between")
             first = self._first if self._count else time
-            try:
-                clock = round((time - first) * 1e9) + NOON
+            status = BAD_SAMPLE
+            with suppress(TypeError, ValueError, OverflowError):  # no numbers, or none of a clock
                 (x, y), (vx, vy) = position, velocity
-                status = BAD_SAMPLE
                 if abs(time) < ERA:
+                    clock = round((time - first) * 1e9) + NOON
                     status = self._board.update(clock, x, y, vx, vy, thrust)
-            except (TypeError, ValueError, OverflowError):  # no numbers, or none of a clock
-                status = BAD_SAMPLE
             if status not in (BAD_SAMPLE, BAD_TIME):
                 self._first, self._pushed = first, thrust is not None
                 self._count += 1

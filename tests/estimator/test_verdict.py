@@ -213,6 +213,15 @@ def test_a_latency_is_read_from_a_log_where_it_mends_the_way():
     assert latency_of(large) == latency_of(whole) == 0.0
 
 
+def test_positions_far_away_are_no_readings():
+    whole = flown(FLOW, rate=50.0, duration=10.0, noise=(0.05, 0.01))
+    position = whole.position.copy()
+    position[[42, 89, 90, 118, 403, 406], 0] += 50.0
+    found = sf.Estimator().estimate(replace(whole, position=position))
+    assert found.status == "ok", found.reason
+    assert found.length_scale == pytest.approx(FLOW.length_scale, rel=0.01)
+
+
 def test_waves_that_follow_gusts_leave_the_cells_what_they_are():
     """Four waves are likelier in white noise: beside the turbulence cells are compared again."""
     ((flight, truth),) = draw(GROUPS["turbulence30"][0], 1, 95002)
