@@ -186,8 +186,8 @@ def measure_flow(
     """
     if not proposals:
         return None
-    pairs = zip(prepared.flights, prepared.sound, strict=True)
-    logs = [FlightLog.of_flight(flight, sound.position) for flight, sound in pairs]
+    places = [flight.position for flight in prepared.sound]
+    logs = [*map(FlightLog.of_flight, prepared.flights, places)]
     evident = ("latency",) if any(prepared.latencies) else ()
     asked = evident if free == "auto" else free
     names = tuple(dict.fromkeys((*prepared.library.unknown, *asked)))

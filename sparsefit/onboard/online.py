@@ -165,14 +165,14 @@ class OnlineEstimator:
                 self._first, self._pushed = first, thrust is not None
                 self._count += 1
                 return
-        if not abs(finite("time", time, "s")) < ERA:
-            raise InputError(f"time is {time:g}, beyond {ERA:g} s: give it in seconds")
+        finite("time", time, "s")
         pair("position", position, "m")
         pair("velocity", velocity, "m/s")
         if thrust is not None:
             pair("thrust", thrust, "m/s^2")
         if status == BAD_SAMPLE:
-            raise InputError("a sample beyond 1e7 in SI units: no flight; change the unit")
+            words = f"beyond 1e7 in SI units, or {ERA:g} s: no flight"
+            raise InputError(f"a sample {words}; change the unit, or give seconds")
         raise InputError(
             f"time {time} s is out of line with the samples before; it is left out, and taken as a "
             "new clock if the next sample goes on from it"

@@ -153,7 +153,7 @@ def test_an_odd_first_sample_does_not_deafen(flight, whole):
     online, rest = online_of(), ((0.0, 0.0), (0.0, 0.0))
     for sample, words in (
         *(((0.0, *rest, thrust), "thrust") for thrust in ((1.0,), 3.0, (math.nan, 1.0))),
-        *(((stamp, *rest), "in seconds") for stamp in (-1e18, 1.7e12)),
+        *(((stamp, *rest), "give seconds") for stamp in (-1e18, 1.7e12)),
     ):
         with pytest.raises(sf.InputError, match=words):
             online.update(*sample)
