@@ -59,22 +59,25 @@ SUMMARIES: dict[str, Statistic] = {
 SUMMARY_NAMES = (*QUANTILES, *SUMMARIES)
 
 
-def quantile(values: Array, share: float, *, observed: bool = False) -> Array:
+def quantile(values: Array, share: float, *, failures: bool = False) -> Array:
     """Return the quantile (...,) over the last axis, NaN excluded; infinity is a valid value.
 
-    Linear between observations (Hyndman and Fan, 1996, definition 7), or an `observed` value
-    (definition 1), as an interpolation between a value and a failure has no meaning.
+    Linear between observations (Hyndman and Fan, 1996, definition 7); where infinity counts
+    `failures`, an observation or the mean of two (definition 2), the lower one beside a failure.
     """
     ordered = np.sort(values, axis=-1)  # NaN comes last
     count = (~np.isnan(ordered)).sum(axis=-1)
     last = np.maximum(count - 1, 0)
-    place = np.ceil(np.maximum(share * count - 1.0, 0.0)) if observed else share * last
+    place = share * last
+    if failures:
+        rank = share * count - 1.0
+        place = np.maximum(np.where(rank == np.floor(rank), rank + 0.5, np.ceil(rank)), 0.0)
     low = np.floor(place).astype(np.intp)
     high = np.minimum(low + 1, last)
     first, second = (
         np.take_along_axis(ordered, at[..., None], axis=-1)[..., 0] for at in (low, high)
     )
-    exact = (first == second) | (place == low)  # inf - inf would be NaN
+    exact = (first == second) | (place == low) | (failures & np.isinf(second))
     start, end = np.where(exact, 0.0, first), np.where(exact, 0.0, second)
     between: Array = start + (place - low) * (end - start)
     return np.where(count > 0, np.where(exact, first, between), np.nan)
@@ -247,7 +250,7 @@ class Measure:
     def reduce(self, values: Array) -> Array:
         """Return the summary (...,) of (..., n) values of cases that are not NaN."""
         if self.summary in QUANTILES:
-            return quantile(values, QUANTILES[self.summary], observed=self.miss is not None)
+            return quantile(values, QUANTILES[self.summary], failures=self.miss is not None)
         if self.miss is not None:
             values = np.where(np.isposinf(values), self.miss, values)
         return SUMMARIES[self.summary](values)

@@ -129,9 +129,10 @@ def test_quantiles_are_those_of_numpy(share):
     holes = VALUES.copy()
     holes[0, 3] = holes[2, :4] = np.nan
     assert quantile(holes, share) == pytest.approx(np.nanquantile(holes, share, axis=1))
-    failed = np.concatenate([VALUES, np.full((4, 3), np.inf)], axis=1)
-    expected = np.quantile(failed, share, axis=1, method="inverted_cdf")
-    assert quantile(failed, share, observed=True) == pytest.approx(expected)
+    for count in (8, 9):
+        expected = np.quantile(VALUES[:, :count], share, axis=1, method="averaged_inverted_cdf")
+        assert quantile(VALUES[:, :count], share, failures=True) == pytest.approx(expected)
+    assert quantile(np.array([[1.0, np.inf], [1.0, 3.0]]), 0.5, failures=True).tolist() == [1, 2]
 
 
 def test_of_nothing_nothing_is_known():
