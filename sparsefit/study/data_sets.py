@@ -22,7 +22,6 @@ is ever run.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
 import zipfile
@@ -202,12 +201,6 @@ def read_data(path: Path, target: Sequence[str] = (), like: Data | None = None) 
         raise InputError(f'{path}: column "{names[column]}" of row {row + 1} {words}')
     theta, held = (arrays[:, [places[name] for name in own]] for own in (columns, target))
     return Data(theta, held, names=tuple(columns))
-
-
-def digest_of(path: Path) -> str:
-    """sha256 of a data file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def shipping(name: str) -> Any:

@@ -28,8 +28,7 @@ from sparsefit.study.crossing import ALPHA, Cell, Protocols
 from sparsefit.study.draw import Logged, Logs
 from sparsefit.study.flight_desk import FlightDesk, truth_of
 from sparsefit.study.keys import FlightFile
-from sparsefit.study.manifest import code_version
-from sparsefit.study.plan import Batch, Plan, telling
+from sparsefit.study.plan import Batch, Plan, code_version, telling
 from sparsefit.study.schema import canonical_json, digest, distinct, numbered
 from sparsefit.study.worker import Answer, Crew, NoAnswerError
 

@@ -5,21 +5,31 @@
 A unit is what statistics draw whole (a flight with all its conditions; a regression problem), a
 candidate what is compared. A kind of study, of which there are two (flights; regression problems),
 says its units, its cells and how a batch of cases is run; all else is common.
+
+    code_version("my-plugin 1.2")  ->  "0.4.0+1a2b3c4d my-plugin 1.2"
+
+The version of a row has a digest of every source file that can change a number.
 """
 
 from __future__ import annotations
 
 import hashlib
 import itertools
+import platform
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cache, cached_property
+from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+import sparsefit
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, suggestion
 from sparsefit.study.columns import Column, Outcome
@@ -31,6 +41,20 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Columns: TypeAlias = Mapping[str, Sequence[Any]]
+STUDY = (  # files of `study/` that no number of a case depends on
+    *("__init__", "compare", "entries", "evidence", "figures", "measures", "page", "panels"),
+    *("runner", "selection", "solver_times", "store", "study", "table", "tables", "trials"),
+)
+# No number of a case depends on these: they run, store and show.
+NOT_COMPUTING = {"cli", "plot", "__main__.py", "sklearn.py", "pysindy.py"} | {
+    f"study/{name}.py" for name in STUDY
+}
+COMPUTING = (  # packages
+    *("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp", "scikit-learn", "celer"),
+    *("skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp", "daqp", "pysindy", "numba"),
+)
+DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
+COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
 
 
 def telling(words: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -202,3 +226,60 @@ class Plan(Protocol):
                 raise InputError(f'{study} "{name}"{near}; give a {words} or case id')
             wanted |= mine
         return wanted
+
+
+def code_version(plugin: str = "") -> str:
+    """The version of the code, `0.4.0+1a2b3c4d`, and of a plug-in's distribution."""
+    return f"{sparsefit.__version__}+{_digest()} {plugin}".rstrip()
+
+
+@cache
+def _digest() -> str:
+    """The first 8 digits of the sha256 of `sources` without words, equal on every machine."""
+    total = hashlib.sha256()
+    package = Path(sparsefit.__file__).parent
+    for path in sources():
+        text = without_words(path.read_text(encoding="utf-8"))
+        total.update(f"{path.relative_to(package).as_posix()}\0{text}\0".encode())
+    return total.hexdigest()[:8]
+
+
+def sources() -> Iterator[Path]:
+    """The source files of the package that can change a number, in order."""
+    package = Path(sparsefit.__file__).parent
+    for path in sorted(package.rglob("*.py*")):
+        within = path.relative_to(package)
+        shows = NOT_COMPUTING & {within.parts[0], within.as_posix()}
+        if path.suffix in (".py", ".pyx") and not shows:
+            yield path
+
+
+def without_words(source: str) -> str:
+    """A Python source without docstrings, comments and empty lines, which change no number.
+
+    Works on the text, and so alike in every version of Python. Comments stay where a string of
+    several lines might contain one.
+    """
+    text = DOCSTRING.sub(r"\1", source)
+    return text if '"""' in text else COMMENT.sub("", text)
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of sparsefit, Python and numerical packages; None for those not installed."""
+    numbers: dict[str, str | None] = {
+        "sparsefit": sparsefit.__version__, "python": platform.python_version()
+    }  # fmt: skip
+    for name in COMPUTING:
+        numbers[name] = None
+        with suppress(metadata.PackageNotFoundError):
+            numbers[name] = metadata.version(name)
+    return numbers
+
+
+def processor() -> str:
+    """The name of the CPU, where the system has it."""
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

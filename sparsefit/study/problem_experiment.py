@@ -46,10 +46,9 @@ from sparsefit.study.arena import FOLDS, IN_USE, JUDGE, Arena, size_of
 from sparsefit.study.columns import PROBLEM_COLUMNS, Outcome
 from sparsefit.study.draw import SIMULATION, stream
 from sparsefit.study.keys import ContenderKeys, Generator, ProblemFile, ProblemKeys, SolverKeys
-from sparsefit.study.manifest import code_version, processor, versions
-from sparsefit.study.plan import Batch, Plan, telling
+from sparsefit.study.plan import Batch, Plan, code_version, processor, telling, versions
 from sparsefit.study.problem_desk import Contender, JudgeDesk, SolverDesk, small_problem
-from sparsefit.study.schema import canonical_json, digest, numbered
+from sparsefit.study.schema import canonical_json, digest, digest_of, numbered
 from sparsefit.study.worker import Crew
 from sparsefit.whole_file import refusing
 
@@ -180,7 +179,7 @@ class ProblemExperiment(Plan):
         judged = {"folds": FOLDS, "support": IN_USE, "stability": True} if self.holds_out else None
         content = []
         for c in self.contenders:
-            code = " ".join(map(data_sets.digest_of, c.files))
+            code = " ".join(map(digest_of, c.files))
             own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
             if c.recipe is not None and c.recipe.start != SolverKeys.start:
                 own.append(c.recipe.start)
@@ -270,10 +269,10 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
         schema.distinct(keys.target or ("",), place.at("target"))
         path = folder / keys.file
         name, data = keys.name or path.stem, data_sets.read_data(path, keys.target)
-        made = [(lambda: data, data_sets.digest_of(path))]
+        made = [(lambda: data, digest_of(path))]
         if keys.test:
             path = folder / keys.test
-            test, beside = data_sets.read_data(path, keys.target, data), data_sets.digest_of(path)
+            test, beside = data_sets.read_data(path, keys.target, data), digest_of(path)
     elif kind == "dataset":
         made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":

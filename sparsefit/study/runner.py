@@ -33,9 +33,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 from sparsefit.errors import InputError, described, is_integer, optional, told_with
 from sparsefit.study.columns import PARAMETERS, Outcome
-from sparsefit.study.manifest import MANIFEST, check_whole, write_manifest
 from sparsefit.study.plan import Batch, Plan
-from sparsefit.study.store import CASES, STORE, Row, Store, discard
+from sparsefit.study.store import CASES, MANIFEST, STORE, Row, Store, check_whole, discard
 from sparsefit.study.worker import TICK, Crew, memory_limit, scratch
 from sparsefit.whole_file import refusing
 
@@ -153,19 +152,9 @@ def run(
             made = {"resumed": resumed, "computed": computed, "seconds": seconds}
             summary = RunSummary.of(store, **made, processes=count)
             if summary.finished:
-                store.export()
-                definition = plan.definition
-                content = {
-                    "study": definition.name,
-                    "study_hash": plan.hash,
-                    "seed": definition.seed,
-                    "cases": plan.size,
-                    "statuses": dict(sorted(summary.statuses.items())),
-                    "wall_seconds": round(seconds, 3),
-                    "resumed_cases": resumed,
-                    "processes": count,
-                }
-                write_manifest(folder, content)
+                statuses = dict(sorted(summary.statuses.items()))
+                work = {"wall_seconds": round(seconds, 3), "resumed_cases": resumed}
+                store.export({"statuses": statuses, **work, "processes": count})
         if summary.finished:
             discard(folder)
     return summary

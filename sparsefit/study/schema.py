@@ -104,6 +104,12 @@ def digest(content: str) -> str:
     return hashlib.sha256(content.encode(errors="backslashreplace")).hexdigest()[:16]
 
 
+def digest_of(path: Path) -> str:
+    """sha256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def numbered(names: Iterable[str]) -> list[str]:
     """The names, the second of equal ones with `-2` behind: cases that differ in nothing else."""
     seen: Counter[str] = Counter()

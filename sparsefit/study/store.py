@@ -8,19 +8,22 @@
 
 `cases.sqlite` begins with the rows of an earlier export, copied in one transaction, and takes the
 place of it until the next. The key of a row is the id of its case. Each row has a checksum,
-an export has its own in `manifest.json`: a damaged row is ignored, a damaged file is refused in a
-line. What was committed survives a kill. The next export leaves out rows that are not planned.
+an export has its own in `manifest.json`, beside versions and the machine: a damaged row is ignored,
+a damaged file is refused in a line. What was committed survives a kill. The next export leaves out
+rows that are not planned.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import platform
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from itertools import chain, repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -32,16 +35,16 @@ from numpy.typing import NDArray
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
 from sparsefit.study.columns import FAILED, STATUSES, Outcome, body_of, kinds_of
-from sparsefit.study.manifest import MANIFEST, check_whole, read_record
-from sparsefit.whole_file import refusing, whole_file
+from sparsefit.study.plan import Plan, versions
+from sparsefit.study.schema import digest_of
+from sparsefit.whole_file import read_whole, refusing, whole_file, write_whole
 
 if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-    from sparsefit.study.plan import Plan
-
-STORE, CASES = "cases.sqlite", "cases.parquet"
+STORE, CASES, MANIFEST = "cases.sqlite", "cases.parquet", "manifest.json"
+LARGEST = 1 << 24  # bytes of a record that is read
 SCHEMA = """CREATE TABLE IF NOT EXISTS cases (case_id TEXT PRIMARY KEY, status TEXT NOT NULL,
 reason TEXT NOT NULL, version TEXT NOT NULL, body TEXT NOT NULL, crc INTEGER NOT NULL)"""
 REMEDIES = {  # by what SQLite says
@@ -233,8 +236,11 @@ class Store:
                     row = Row(case_id, status, reason or "", version or "", body)
                     yield row if status in STATUSES else None
 
-    def export(self) -> None:
-        """Write `cases.parquet`, in plan order, whole or not at all."""
+    def export(self, content: Mapping[str, object]) -> None:
+        """Write `cases.parquet`, in plan order, whole or not at all, then its manifest.
+
+        content: of the run, beside the study, checksums, versions and the machine.
+        """
         import pyarrow.parquet as pq
 
         self.sync()
@@ -257,6 +263,20 @@ class Store:
         ):
             for table in chain([first], tables):
                 writer.write_table(table)
+        plan = self.plan
+        manifest = {
+            "study": plan.definition.name,
+            "study_hash": plan.hash,
+            "seed": plan.definition.seed,
+            "cases": plan.size,
+            **content,
+            "sha256": {CASES: digest_of(self.folder / CASES)},
+            "finished": datetime.now(UTC).isoformat(timespec="seconds"),
+            "versions": versions(),
+            "platform": platform.platform(),
+            "processors": os.cpu_count(),
+        }
+        write_whole(self.folder / MANIFEST, json.dumps(manifest, indent=2) + "\n")
 
 
 def discard(folder: Path, *exported: str) -> None:
@@ -355,3 +375,30 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
         kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
         arrays[key] = pa.array([plan.columns[key][place] for place in places], type=kind_)
     return pa.table(arrays)
+
+
+def read_record(path: Path) -> dict[str, Any] | None:
+    """The JSON object in a regular file; None without a readable one."""
+    try:
+        content = json.loads(read_whole(path, most=LARGEST))
+    except (InputError, ValueError, RecursionError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def check_whole(path: Path, *, strict: bool = False) -> None:
+    """Raise `InputError` unless a file has the checksum in the manifest beside it.
+
+    strict: also where the manifest has none, for a part that is merged from elsewhere.
+    """
+    written = (read_record(path.parent / MANIFEST) or {}).get("sha256")
+    if not isinstance(written, dict) or path.name not in written:
+        if strict:
+            words = f"no checksum of it stands in {MANIFEST}"
+            raise InputError(f"{path}: {words}: take both files from where they came")
+        return
+    if digest_of(path) != written[path.name]:
+        raise InputError(
+            f"{path}: not what was written (its sha256 is not that of {MANIFEST}): "
+            "take both files from where they came, or run the study with --fresh"
+        )

@@ -30,8 +30,9 @@ from sparsefit.codec import finite_or_none
 from sparsefit.errors import InputError
 from sparsefit.study import measures
 from sparsefit.study.flight_experiment import FlightExperiment
-from sparsefit.study.manifest import processor, read_record
 from sparsefit.study.measures import ROUNDING, Measure, ends, mean, resampled
+from sparsefit.study.plan import processor
+from sparsefit.study.store import read_record
 from sparsefit.study.table import significant
 from sparsefit.study.worker import Answer, NoAnswerError, Worker, disturbed, memory_limit
 from sparsefit.whole_file import write_whole

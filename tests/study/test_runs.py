@@ -15,7 +15,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.regression.backend import plugins
-from sparsefit.study import manifest, runner
+from sparsefit.study.plan import sources, without_words
 from sparsefit.study.runner import locked
 from sparsefit.study.store import CASES, STORE, Store, read_cases
 from tests.study import attacks, hostile
@@ -193,7 +193,7 @@ def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
     study = changed(whole, tmp_path, WHOLE + split)
     with pytest.raises(InputError, match=r'"lasso"\?; give a back-end, label, protocol, unit or'):
         study.run(only=["laso"], fresh=True)  # and nothing is lost
-    monkeypatch.setattr(manifest, "_digest", lambda: "other")
+    monkeypatch.setattr("sparsefit.study.plan._digest", lambda: "other")
     later = sf.Study.from_file(tmp_path / "s.toml")
     assert later.status().stale == 18
     summary = later.run(processes=1, stale=True, only=["least-squares"])
@@ -225,7 +225,7 @@ def test_a_run_that_ends_between_its_files_goes_on(copied, monkeypatch):
     attacks.unpack(copied)
     with Store.opened(copied.folder, copied.planned) as store:  # an export that is another
         store.put_row(store.rows()[0]._replace(reason="another"))
-    monkeypatch.setattr(runner, "write_manifest", end)
+    monkeypatch.setattr("sparsefit.study.store.write_whole", end)
     with pytest.raises(KeyboardInterrupt):
         copied.run(processes=1)
     assert (copied.folder / CASES).exists()
@@ -330,7 +330,7 @@ def test_the_version_is_that_of_every_file_that_can_change_a_number():
     )
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {Path(line) for line in told.stdout.split()}
-    counted = set(manifest.sources())
+    counted = set(sources())
     package = Path(sf.__file__).parent
     uncounted = {path.relative_to(package).as_posix() for path in loaded - counted}
     compiled = {name for name in uncounted if name.endswith(".so")}
@@ -341,8 +341,8 @@ def test_the_version_is_that_of_every_file_that_can_change_a_number():
 def test_words_change_no_version():
     source = "def area(side):\n    return side * side\n"
     wordy = '# Why.\n\ndef area(side):  # a\n    """The area."""\n    return side * side  # b\n'
-    assert manifest.without_words(wordy) == manifest.without_words(source) == source
-    assert manifest.without_words(source.replace("*", "+")) != manifest.without_words(source)
+    assert without_words(wordy) == without_words(source) == source
+    assert without_words(source.replace("*", "+")) != without_words(source)
 
 
 def test_latency_and_variants_of_candidates(copied):
