@@ -24,7 +24,7 @@ from sparsefit.codec import Place, integer
 from sparsefit.errors import InputError, is_real
 from sparsefit.study import crossing
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, STATUSES, Outcome, kinds_of
-from sparsefit.study.crossing import ALPHA, Cell, Protocols
+from sparsefit.study.crossing import ALPHA, BackendPoint, Cell, Protocols
 from sparsefit.study.draw import Logged, Logs
 from sparsefit.study.flight_desk import FlightDesk, truth_of
 from sparsefit.study.keys import FlightFile
@@ -121,7 +121,8 @@ class FlightExperiment(Plan):
         """Condition, candidate, title and factors of every cell."""
         cells, protocols = self.points, self.protocols
         worlds = _half_words(protocols)
-        readings, words = _half_words(protocols, worlds), _setting_words(cells)
+        readings = _half_words(protocols, worlds)
+        words = _setting_words({cell.backend: None for cell in cells})
         conditions, candidates, aspects = list[str](), list[str](), list[tuple[str, ...]]()
         for cell in cells:
             own = {k: level for k, level in cell.levels.items() if not _of_flight(k)}
@@ -131,7 +132,7 @@ class FlightExperiment(Plan):
             fitted = (cell.backend.name, cell.backend.label, cell.backend.canonical_settings)
             candidates.append(digest(canonical_json([reading, own, *fitted]))[:12])
             chosen = ", ".join(level_words(k, v) for k, v in own.items())
-            aspects.append((reading, words[fitted], chosen))
+            aspects.append((reading, words[cell.backend], chosen))
         titles = dict(zip(candidates, _titles(aspects), strict=True)) | self.titled
         return {
             "condition": conditions,
@@ -179,6 +180,7 @@ class FlightExperiment(Plan):
         return code_version(backends.distribution(self.points[cell].backend.name))
 
     def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
+        """The columns that are known of a case before it is run."""
         rules = self.points[cell].setup.flights
         try:
             return truth_of(rules.draw(unit, self.count, self.definition.seed))
@@ -311,29 +313,23 @@ def _half_words(protocols: Protocols, worlds: Mapping[str, str] | None = None) -
     protocols which agree in this half have in common, first without those that name the flights;
     then the keys and values. Where all protocols agree, there are none.
     """
-    halves = {
-        name: {key: level for key, level in own.items() if _of_flight(key) == (worlds is None)}
-        for name, own in protocols.items()
-    }
-    words = dict[str, tuple[str, ...]]()
-    for name, half in halves.items():
-        alike = [other for other in halves if halves[other] == half]
-        if len(alike) == len(halves):
-            return dict.fromkeys(halves, "")
-        parts, flown = _common(alike), _common(worlds[other] for other in alike) if worlds else []
-        levels = [level_words(key, level) for key, level in half.items()]
-        levels = levels or ([] if worlds else [UNCHANGED])
-        without = [part for part in parts if part not in flown]
-        words[name] = tuple(map(", ".join, (without, parts, levels)))
-
-    def unambiguous(name: str, place: int) -> bool:
-        others = (other for other in words if words[other][place] == words[name][place])
-        return all(halves[other] == halves[name] for other in others)
-
-    return {
-        name: next((w for place, w in enumerate(own) if w and unambiguous(name, place)), "")
-        for name, own in words.items()
-    }
+    alike, levels = dict[str, list[str]](), dict[str, str]()
+    for name, own in protocols.items():
+        half = {key: level for key, level in own.items() if _of_flight(key) == (worlds is None)}
+        identity, words = canonical_json(half), [level_words(*item) for item in half.items()]
+        alike.setdefault(identity, []).append(name)
+        levels[identity] = ", ".join(words or [UNCHANGED] * (worlds is None))
+    chosen, proposed = dict.fromkeys(protocols, ""), list[tuple[str, ...]]()
+    for identity, names in alike.items():
+        parts, flown = _common(names), _common(worlds[name] for name in names) if worlds else []
+        without = ", ".join(part for part in parts if part not in flown)
+        proposed.append((without, ", ".join(parts), levels[identity]))
+    for names, own_words in zip(alike.values(), proposed, strict=True):
+        for word, every in zip(own_words, zip(*proposed, strict=True), strict=True):
+            if len(alike) > 1 and word and every.count(word) == 1:
+                chosen |= dict.fromkeys(names, word)
+                break
+    return chosen
 
 
 def _common(names: Iterable[str]) -> list[str]:
@@ -353,15 +349,13 @@ def _titles(aspects: Sequence[tuple[str, ...]]) -> Iterator[str]:
         yield " with ".join(filter(None, (names, levels)))
 
 
-def _setting_words(cells: Sequence[Cell]) -> dict[tuple[str, str, str], str]:
-    """The words of each (back-end, label, settings): the label, and the settings that vary."""
-    every = dict.fromkeys(
-        (c.backend.name, c.backend.label, c.backend.canonical_settings) for c in cells
-    )
-    settings = {key: {"backend": key[0], **json.loads(key[2])} for key in every}
+def _setting_words(points: Iterable[BackendPoint]) -> dict[BackendPoint, str]:
+    """The words of each back-end: its label, and the settings in which those of it differ."""
+    settings = {at: {"backend": at.name, **json.loads(at.canonical_settings)} for at in points}
     words = {}
-    for key, own in settings.items():
-        alike = [settings[other] for other in every if other[1] == key[1]]
-        varied = [name for name in own if any(other.get(name) != own[name] for other in alike)]
-        words[key] = crossing.named(key[1], {name: own[name] for name in varied})
+    for point, own in settings.items():
+        alike = [other for at, other in settings.items() if at.label == point.label]
+        varied = {name: value for name, value in own.items()
+                  if any(other.get(name) != value for other in alike)}  # fmt: skip
+        words[point] = crossing.named(point.label, varied)
     return words

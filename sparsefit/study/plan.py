@@ -116,9 +116,6 @@ class Plan(Protocol):
         """
         return wanted
 
-    def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
-        """The columns that are known of a case before it is run."""
-
     def check(self) -> None:
         """Refuse, before any work, what cannot be run here at all."""
         return

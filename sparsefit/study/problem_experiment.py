@@ -42,7 +42,7 @@ from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import REFEREE, Recipe, solver_names
 from sparsefit.study import crossing, data_sets, schema
-from sparsefit.study.arena import FOLDS, IN_USE, JUDGE, Arena, size_of
+from sparsefit.study.arena import FOLDS, IN_USE, JUDGE, Arena
 from sparsefit.study.columns import PROBLEM_COLUMNS, Outcome
 from sparsefit.study.draw import SIMULATION, stream
 from sparsefit.study.keys import ContenderKeys, Generator, ProblemFile, ProblemKeys, SolverKeys
@@ -213,9 +213,6 @@ class ProblemExperiment(Plan):
         for cell, objective in enumerate(self.cells["objective"]):
             cells.setdefault(objective, []).append(cell)
         return cells
-
-    def truth(self, unit: int, cell: int) -> Mapping[str, Any]:
-        return size_of(self._data[unit])
 
     @cached_property
     def _data(self) -> list[data_sets.Data]:
