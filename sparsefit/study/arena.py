@@ -57,53 +57,21 @@ def median_interval(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 @dataclass
-class Repeats:
-    """Wall and CPU times [s] of the repeats of a case; spent: their sum with the first solve."""
-
-    seconds: dict[str, list[float]] = field(default_factory=lambda: {"wall": [], "cpu": []})
-    spent: float = 0.0
-
-    def note(self, wall: float, cpu: float, *, first: bool) -> None:
-        """Add a run; a first one below .3 s is a warm-up and is not counted."""
-        self.spent += wall
-        if not first or wall > 0.3:
-            self.seconds["wall"].append(wall)
-            self.seconds["cpu"].append(cpu)
-
-    def enough(self, clock: Clock) -> bool:
-        """Whether the repeats suffice."""
-        made = len(self.seconds["wall"])
-        spent = made and self.spent >= clock.seconds
-        return bool(spent or made >= clock.repeats or self.columns(clock)["known"])
-
-    def columns(self, clock: Clock) -> dict[str, Value]:
-        """Medians, their intervals, whether that of the wall time is as narrow as requested, and
-        whether another program disturbed the machine.
-        """
-        wall, low, high = median_interval(self.seconds["wall"])
-        cpu, *ends = median_interval(self.seconds["cpu"])
-        return {
-            **{"wall": wall, "wall_low": low, "wall_high": high},
-            **{"cpu": cpu, "cpu_low": ends[0], "cpu_high": ends[1]},
-            "repeats": len(self.seconds["wall"]),
-            "known": high - low <= 2.0 * clock.precision * wall,
-            "disturbed": disturbed(wall, cpu),
-        }
-
-
-@dataclass
 class Case:
     """A case while it is computed: its contender, its times and its columns.
 
     points: the number of penalties p, 1 of a back-end without; weights: the answer (p, k, n) of its
-    first solve; status and reason: set where the case has ended early.
+    first solve; walls, cpus: the times [s] of its repeats; spent: the sum of all wall times; status
+    and reason: set where the case has ended early.
     """
 
     cell: int
     contender: Contender
     points: int = 1
-    repeats: Repeats = field(default_factory=Repeats)
     weights: Array | None = None
+    walls: list[float] = field(default_factory=list)
+    cpus: list[float] = field(default_factory=list)
+    spent: float = 0.0
     status: str = ""
     reason: str = ""
     values: dict[str, Any] = field(default_factory=dict)
@@ -116,26 +84,44 @@ class Case:
         except NoAnswerError as failed:
             self.status, self.reason = failed.status, f"{where}{failed.reason}"
 
+    def note(self, wall: float, cpu: float, *, first: bool = False) -> None:
+        """Add the times of a solve; a first one below .3 s is a warm-up and is not counted."""
+        self.spent += wall
+        if not first or wall > 0.3:
+            self.walls.append(wall)
+            self.cpus.append(cpu)
 
-def size_of(data: Data) -> dict[str, Value]:
-    """The columns of the size of a problem."""
-    sizes = {"samples": data.samples or data.theta.shape[0], "columns": data.theta.shape[1]}
-    return {**sizes, "targets": data.target.shape[1]}
+    def enough(self, clock: Clock) -> bool:
+        """Whether the repeats suffice."""
+        spent = self.walls and self.spent >= clock.seconds
+        return bool(spent or len(self.walls) >= clock.repeats or self.times(clock)["known"])
+
+    def times(self, clock: Clock) -> dict[str, Value]:
+        """Medians, their intervals, whether that of the wall time is as narrow as requested, and
+        whether another program disturbed the machine.
+        """
+        wall, low, high = median_interval(self.walls)
+        cpu, cpu_low, cpu_high = median_interval(self.cpus)
+        return {
+            **{"wall": wall, "wall_low": low, "wall_high": high},
+            **{"cpu": cpu, "cpu_low": cpu_low, "cpu_high": cpu_high},
+            "repeats": len(self.walls),
+            "known": high - low <= 2.0 * clock.precision * wall,
+            "disturbed": disturbed(wall, cpu),
+        }
 
 
 @dataclass(eq=False)
 class Arena:
     """The solvers' workers, and the problem that they solve.
 
-    The folder of the crew holds the arrays. met: the contenders that each worker has called before
-    on dense columns, or sparse ones, for which some compile anew; overhead: the time [s] of an
-    empty request to it; lost: the ends of contenders whose first call was lost, which are not tried
-    again; first: the times [s] of first calls; unit, data, file: the current problem.
+    The folder of the crew holds the arrays. overhead: the time [s] of an empty request to a worker;
+    lost: the ends of contenders whose first call was lost, which are not tried again; first: the
+    times [s] of first calls; unit, data, file: the current problem.
     """
 
     plan: Any  # the experiment with problems, which makes the arena
     crew: Crew
-    met: dict[Worker, set[tuple[tuple[str, str], bool]]] = field(default_factory=dict)
     overhead: dict[Worker, float] = field(default_factory=dict)
     lost: dict[tuple[str, str], NoAnswerError] = field(default_factory=dict)
     first: dict[tuple[str, str], float] = field(default_factory=dict)
@@ -154,7 +140,7 @@ class Arena:
             with case.ending():
                 self._begin(case, cases)
         timed = list(cases)
-        while timed := [c for c in timed if not c.status and not c.repeats.enough(clock)]:
+        while timed := [c for c in timed if not c.status and not c.enough(clock)]:
             turn += 1
             for case in timed if turn % 2 == 0 else reversed(timed):
                 with case.ending():
@@ -179,14 +165,14 @@ class Arena:
                 raise NoAnswerError("timeout", words)
         case.weights, *seconds = self._solve(case)
         self._judge(case, case.weights)
-        case.repeats.note(*seconds, first=True)
+        case.note(*seconds, first=True)
 
     def _repeat(self, case: Case, turn: int) -> None:
         """One more timed solve, certified where its answer differs from the first."""
         weights, *seconds = self._solve(case, seed=turn if case.contender.even else 2 * turn)
         first, before = case.weights, case.values["excess"]
         assert first is not None
-        case.repeats.note(*seconds, first=False)
+        case.note(*seconds)
         if np.abs(weights - first).max() <= 1e-9 * np.abs(first).max():
             return
         self._judge(case, weights)
@@ -231,7 +217,7 @@ class Arena:
 
     def _acquainted(self, case: Case) -> Worker:
         """The worker of a case, its overhead measured, after a first call of the contender."""
-        names, sparse = case.contender.names, not isinstance(self.data.theta, np.ndarray)
+        names = case.contender.names
         if names in self.lost:
             raise self.lost[names]
         worker = self.crew.worker(f"solver {case.contender.family}")
@@ -239,20 +225,18 @@ class Arena:
             asks = [worker.ask("nothing", {}, READY_SECONDS, work=SOLVE, timed=True)
                     for _ in range(9)]  # fmt: skip
             self.overhead[worker] = float(np.median([answer.wall for answer in asks]))
-        if (names, sparse) in self.met.setdefault(worker, set()):
-            return worker
+        # Some compile anew for sparse columns; one that was called before does nothing.
+        content = {"contender": case.cell, "sparse": not isinstance(self.data.theta, np.ndarray)}
+        limit = case.contender.killed(small_problem().targets, first=True)
         try:
-            limit = case.contender.killed(small_problem().targets, first=True)
-            content = {"contender": case.cell, "sparse": sparse}
             first = worker.ask("first", content, limit, work=FIRST, timed=True)
             _in_time(first, FIRST)
-            self.first.setdefault(names, first.wall)
-        except NoAnswerError as failed:
+            if first.content:
+                self.first.setdefault(names, first.wall)
+        except NoAnswerError as failed:  # one that raises there may still solve the others
             if failed.lost:
                 self.lost[names] = failed
                 raise
-            # One that raises on the small problem may still solve the others.
-        self.met[worker].add((names, sparse))
         return worker
 
     def _judge(self, case: Case, weights: Array) -> None:
@@ -317,8 +301,10 @@ class Arena:
             words = (f"certified {case.values['excess']:.1e}, asked for {requested:g}",)
             reason = ": ".join(filter(None, (*words, case.values.get("word", ""))))
         values = {
-            **size_of(self.data),
-            **case.repeats.columns(self.plan.definition.clock),
+            "samples": self.data.samples or self.data.theta.shape[0],
+            "columns": self.data.theta.shape[1],
+            "targets": self.data.target.shape[1],
+            **case.times(self.plan.definition.clock),
             **case.values,
             "points": case.points,
             "first": self.first.get(case.contender.names, math.nan),

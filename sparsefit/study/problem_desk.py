@@ -213,6 +213,7 @@ class SolverDesk:
         self._data: tuple[str, Data] | None = None
         self._work: tuple[Any, ...] = ()
         self._into: Any = None
+        self._met: set[tuple[str, str, bool]] = set()
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
         os.dup2(silent, 2)
@@ -250,8 +251,11 @@ class SolverDesk:
 
     def first(self, contender: int, sparse: bool) -> Mapping[str, Any]:
         """A first call, on a small problem of dense or sparse columns; its answer is not used."""
-        small = small_problem(sparse=sparse)
-        self._work = (self._contenders[contender], small, self._fractions)
+        solver = self._contenders[contender]
+        if (*solver.names, sparse) in self._met:
+            return {}
+        self._met.add((*solver.names, sparse))
+        self._work = (solver, small_problem(sparse=sparse), self._fractions)
         self._into = ()
         answer = self.solve()
         gc.collect()

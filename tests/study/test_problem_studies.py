@@ -17,7 +17,7 @@ import sparsefit as sf
 from sparsefit.cli import main
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.study import data_sets
-from sparsefit.study.arena import Repeats, cross_validated, median_interval, recovered
+from sparsefit.study.arena import Case, cross_validated, median_interval, recovered
 from sparsefit.study.data_sets import DATASETS, Data, drawn, read_data, read_public
 from sparsefit.study.keys import Clock, Generator
 from sparsefit.study.problem_desk import part_of, signs_of
@@ -448,14 +448,14 @@ def test_a_median_is_known_by_order_statistics():
         hits += low <= math.log(2.0) <= high
     assert 0.93 < hits / 400 <= 1.0
     assert math.isnan(median_interval([1.0] * 5)[1])
-    repeats, clock = Repeats(), Clock(repeats=9, seconds=60.0, precision=0.05)
+    repeats, clock = Case(0, None), Clock(repeats=9, seconds=60.0, precision=0.05)
     repeats.note(0.1, 0.1, first=True)
-    assert repeats.columns(clock)["repeats"] == 0
+    assert repeats.times(clock)["repeats"] == 0
     for wall in (1.0, 1.0, 1.01, 1.0, 1.0, 1.0):
         assert not repeats.enough(clock)
-        repeats.note(wall, 0.5, first=False)
+        repeats.note(wall, 0.5)
     assert repeats.enough(clock)
-    assert repeats.columns(clock)["disturbed"]
+    assert repeats.times(clock)["disturbed"]
 
 
 def test_the_clock_of_a_process_is_its_cpu():
