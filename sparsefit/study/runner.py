@@ -9,15 +9,13 @@ of a crew: foreign code runs in workers only, and a case that hangs or dies ends
 
 On a dask cluster a task is a few batches. It runs them in a slot on the machine of the dask worker,
 so that limits hold there as well and a case that hangs or dies does not end the dask worker. Where
-a dask worker itself is lost, dask gives its tasks to another; the batches of a task that fails are
-tried one by one, and one that fails again is `crashed`.
+a dask worker itself is lost, dask gives its tasks to another; the cases of a task that fails twice
+are `crashed`.
 """
 
 from __future__ import annotations
 
 import fcntl
-import json
-import math
 import os
 import time
 from collections import Counter
@@ -32,7 +30,7 @@ from threading import Event, Lock
 from typing import Any, NamedTuple, TypeAlias
 
 from sparsefit.errors import InputError, described, is_integer, optional, told_with
-from sparsefit.study.columns import PARAMETERS, Outcome
+from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Plan
 from sparsefit.study.store import CASES, MANIFEST, STORE, Row, Store, check_whole, discard
 from sparsefit.study.worker import TICK, Crew, memory_limit, scratch
@@ -230,35 +228,24 @@ def outcomes_on_dask(
     """The outcomes of every batch, as its task ends on a dask worker."""
     from distributed import as_completed
 
-    hands = sum(client.nthreads().values())
     every = list(batches)
     # A process starts for each task; all are to end at about the same time.
-    size = max(1, min(32, len(every) // (4 * max(hands, 1))))
+    size = max(1, min(32, len(every) // (4 * max(sum(client.nthreads().values()), 1))))
+    chunks = [every[start : start + size] for start in range(0, len(every), size)]
     there = client.scatter(replace(plan), broadcast=True)  # without cached columns
-    ended, given, tried = as_completed(), dict[str, list[Batch]](), set[Batch]()
-
-    def submit(chunk: list[Batch]) -> None:
-        future = client.submit(run_batches, there, chunk, pure=False)
-        given[future.key] = chunk
-        ended.add(future)
-
-    for start in range(0, len(every), size):
-        submit(every[start : start + size])
-    for future in ended:
-        mine = given.pop(future.key)
-        if future.status == "finished":
-            yield future.result()
-        elif tried.isdisjoint(mine):
-            tried.update(mine)
-            for batch in mine:
-                submit([batch])
+    tasks = client.map(run_batches, chunks, plan=there, pure=False, retries=1)
+    chunk_of = dict(zip(tasks, chunks, strict=True))
+    for task in as_completed(tasks):
+        if task.status == "finished":
+            yield task.result()
         else:
-            reason = f"the dask task failed: {described(future.exception())}"
-            for batch in mine:
+            reason = f"the dask task failed: {described(task.exception())}"
+            for batch in chunk_of[task]:
                 yield [Outcome(batch.unit, cell, "crashed", reason) for cell in batch.cells]
+        task.release()
 
 
-def run_batches(plan: Plan, batches: Sequence[Batch]) -> list[Outcome]:
+def run_batches(batches: Sequence[Batch], plan: Plan) -> list[Outcome]:
     """The outcomes of batches, computed on a dask worker in a process that can be killed."""
     return list(chain.from_iterable(outcomes(plan, iter(batches), 1)))
 
@@ -321,7 +308,7 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
         for part, theirs in stored.items():
             for row in theirs:
                 first, other = rows.setdefault(row.case_id, (part, row))
-                if not _alike(row, other):
+                if not row.agrees(other):
                     words = f"differs between {first} and {part}: leave one of them out"
                     raise InputError(f"case {row.case_id} {words}")
             taken = sum(first == part for first, _ in rows.values())
@@ -333,11 +320,3 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
     if len(rows) == plan.size:  # only its order is left
         run(plan, folder, processes=1)
     return merged
-
-
-def _alike(first: Row, second: Row) -> bool:
-    """Whether two rows of one case agree: status, and estimates to 6 digits, as across machines."""
-    mine, other = json.loads(first.body), json.loads(second.body)
-    names = [f"est_{name}" for name in PARAMETERS]
-    near = (math.isclose(mine.get(n, 0.0), other.get(n, 0.0), rel_tol=1e-6) for n in names)
-    return first.status == second.status and all(near)

@@ -16,6 +16,7 @@ rows that are not planned.
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 import sqlite3
@@ -34,7 +35,7 @@ from numpy.typing import NDArray
 
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
-from sparsefit.study.columns import FAILED, STATUSES, Outcome, body_of, kinds_of
+from sparsefit.study.columns import FAILED, PARAMETERS, STATUSES, Outcome, body_of, kinds_of
 from sparsefit.study.plan import Plan, versions
 from sparsefit.study.schema import digest_of
 from sparsefit.whole_file import read_whole, refusing, whole_file, write_whole
@@ -69,6 +70,13 @@ class Row(NamedTuple):
     def crc(self) -> int:
         """The checksum of the whole row."""
         return crc32("\0".join(self).encode(errors="backslashreplace"))
+
+    def agrees(self, other: Row) -> bool:
+        """Whether status and estimates, to 6 digits as across machines, are those of another."""
+        mine, theirs = json.loads(self.body), json.loads(other.body)
+        names = [f"est_{name}" for name in PARAMETERS]
+        near = (math.isclose(mine.get(n, 0.0), theirs.get(n, 0.0), rel_tol=1e-6) for n in names)
+        return self.status == other.status and all(near)
 
 
 @dataclass
