@@ -16,7 +16,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
@@ -132,34 +132,6 @@ def named(name: str, settings: Mapping[str, object]) -> str:
 def points_of(grid: Grid) -> list[dict[str, Any]]:
     """Every point of a grid, the last key fastest; one empty point where it has no keys."""
     return [dict(zip(grid, chosen, strict=True)) for chosen in itertools.product(*grid.values())]
-
-
-def cross(
-    sections: Sections,
-    protocols: Protocols,
-    sweep: Grid,
-    fitted: Sequence[BackendPoint],
-    place: Place,
-    parts: dict[str, Any],
-) -> Iterator[Cell]:
-    """Every cell, in plan order: protocol, sweep levels, back-end, setting (last is fastest).
-
-    parts: as of `read_setup`.
-
-    Raises:
-        InputError: with the protocol and levels that resolve to something that cannot be.
-    """
-    for (protocol, overrides), levels in itertools.product(protocols.items(), points_of(sweep)):
-        words = [f'protocol "{protocol}"'] if overrides else []
-        words += [f"{name} = {shown(value)}" for name, value in levels.items()]
-        within = Place(place.file, via=f"with {', '.join(words)}: " if words else "")
-        changed = {name: dict(section) for name, section in sections.items()}
-        for dotted, value in {**overrides, **levels}.items():
-            section, _, name = dotted.partition(".")
-            changed[section][name] = value
-        setup = read_setup(changed, within, parts)
-        for backend in fitted:
-            yield Cell(protocol, levels, setup, backend)
 
 
 def read_protocols(file: FlightFile, sweep: Grid, place: Place) -> dict[str, Levels]:

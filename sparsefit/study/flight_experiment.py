@@ -13,14 +13,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
 
 from sparsefit import backends
 from sparsefit.arrays import BoolArray
-from sparsefit.codec import Place, integer
+from sparsefit.codec import Place, integer, shown
 from sparsefit.errors import InputError, is_real
 from sparsefit.study import crossing
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, STATUSES, Outcome, kinds_of
@@ -71,8 +71,8 @@ class FlightExperiment(Plan):
         if isinstance(drawn, Logs):
             count = len(drawn.pieces)
         # The order of keys in the file means nothing.
-        levels = sorted(crossing.dotted_keys(file.sweep, here).items())
-        sweep = {name: tuple(distinct(value, here.at(name))) for name, value in levels}
+        swept = sorted(crossing.dotted_keys(file.sweep, here).items())
+        sweep = {name: tuple(distinct(value, here.at(name))) for name, value in swept}
         fitted = crossing.read_backends(file, place.within("backends"))
         protocols = crossing.read_protocols(file, sweep, place.within("protocols"))
         planned = count * len(protocols) * math.prod(map(len, sweep.values())) * len(fitted)
@@ -82,8 +82,18 @@ class FlightExperiment(Plan):
         if (split := file.split) is not None and split.validate + split.evaluate != count:
             words = f"counts sum to {split.validate + split.evaluate}, not to the {count}"
             raise place.within("split").error(f"{words} of flights.count")
-        points = tuple(crossing.cross(sections, protocols, sweep, fitted, place, parts))
-        return cls(file, place.file, count, protocols, sweep, points)
+        points = list[Cell]()  # back-ends and their settings vary fastest
+        for (protocol, own), levels in product(protocols.items(), crossing.points_of(sweep)):
+            via = [f'protocol "{protocol}"'] if own else []
+            via += [f"{name} = {shown(value)}" for name, value in levels.items()]
+            within = Place(place.file, via=f"with {', '.join(via)}: " if via else "")
+            changed = {name: dict(section) for name, section in sections.items()}
+            for dotted, value in {**own, **levels}.items():
+                section, _, name = dotted.partition(".")
+                changed[section][name] = value
+            setup = crossing.read_setup(changed, within, parts)
+            points += [Cell(protocol, levels, setup, backend) for backend in fitted]
+        return cls(file, place.file, count, protocols, sweep, tuple(points))
 
     def split(self, flight: int) -> str:
         """`validate`, `evaluate` or, without [split], `all`.

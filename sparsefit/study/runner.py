@@ -141,11 +141,10 @@ def run(
                     computed, now = computed + len(together), time.monotonic()
                     first = first if first[0] else (computed, now)
                     if computed == total or now - shown > 0.2:  # [s], what an eye can follow
-                        shown, ahead = now, None
-                        if computed > first[0] + 4:  # which includes the start of workers
-                            each = (now - first[1]) / (computed - first[0])
-                            ahead = each * (total - computed)
+                        done = computed - first[0]  # without those beside the start of workers
+                        ahead = (now - first[1]) / done * (total - computed) if done > 4 else None
                         tell(resumed + computed, resumed + total, ahead)
+                        shown = now
             seconds = time.monotonic() - begun
             made = {"resumed": resumed, "computed": computed, "seconds": seconds}
             summary = RunSummary.of(store, **made, processes=count)
