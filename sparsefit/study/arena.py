@@ -269,7 +269,7 @@ class Arena:
         if self.plan.fractions:
             case.values["alpha_fraction"] = self.plan.fractions[point]
         if data.test is not None:
-            theta, target = data.test
+            theta, target = data.test.theta, data.test.target
             blocks = np.array_split(np.arange(len(target)), min(FOLDS, len(target)))
             chosen = weights[point : point + 1]
             remaining = np.array([missed(theta[b], target[b], chosen) for b in blocks])

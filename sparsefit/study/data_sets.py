@@ -30,19 +30,18 @@ from contextlib import contextmanager
 from csv import reader
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
 from sparsefit.errors import InputError, one_of, optional, suggestion
-from sparsefit.study.keys import MOST_VALUES, DataSet, Generator
+from sparsefit.study.keys import MOST_VALUES, Generator
 from sparsefit.whole_file import regular_file
 
 MOST_BYTES = 1 << 30  # of a file
 LONGEST_LINE = 1 << 20  # bytes
-DATASETS: tuple[str, ...] = get_args(DataSet)
 GENERATORS: dict[str, dict[str, Any]] = {  # the settings that a name stands for
     "correlated": {"correlation": 0.8},
     "wide": {"samples": 100, "columns": 2000},
@@ -65,21 +64,20 @@ class Data:
     groups: Any = None
     truth: BoolArray | None = None
     samples: int | None = None
-    test: tuple[Array, Array] | None = None
+    test: Data | None = None
     names: tuple[str, ...] | None = None
 
     def real(self) -> Data:
         """The arrays as real numbers, the target as columns (m, n); a sparse theta stays one."""
         theta: Any = self.theta if issparse(self.theta) else np.asarray(self.theta, float)
         target = np.asarray(self.target, float).reshape(theta.shape[0], -1)
-        return replace(self, theta=theta, target=target)
+        return replace(self, theta=theta, target=target, test=self.test and self.test.real())
 
-    def centred(self) -> Data:
-        """The arrays without the means of their columns, which are taken off the test rows, too."""
-        means = self.theta.mean(axis=0), self.target.mean(axis=0)
-        pairs = [(self.theta, self.target), *([self.test] if self.test else [])]
-        (theta, target), *test = [(x - means[0], y - means[1]) for x, y in pairs]
-        return replace(self, theta=theta, target=target, test=test[0] if test else None)
+    def centred(self, means: tuple[Array, Array] | None = None) -> Data:
+        """The arrays without these means, their own by default, taken off the test rows, too."""
+        off, mean = means or (self.theta.mean(axis=0), self.target.mean(axis=0))
+        test = self.test and self.test.centred((off, mean))
+        return replace(self, theta=self.theta - off, target=self.target - mean, test=test)
 
 
 @contextmanager
@@ -207,23 +205,17 @@ def shipping(name: str) -> Any:
     """The module `sklearn.datasets`, with which the data set of that name ships.
 
     Raises:
-        InputError: for an unknown name, with the nearest.
         MissingExtra: if scikit-learn is not installed.
     """
-    one_of("data set", name, DATASETS)
     return optional("sklearn.datasets", f'data set "{name}" ships with scikit-learn', "peers")
 
 
 def read_public(name: str) -> Data:
-    """A data set that ships inside scikit-learn, centred, as there is no intercept.
+    """A data set of `keys.DataSet`, centred, as there is no intercept; raises as `shipping`.
 
     Of a classification (digits, iris, wine, breast-cancer) the targets are the indicators of the
     classes. ``diabetes-quadratic``: the 64 predictors of Efron, Hastie, Johnstone and Tibshirani
     (Ann. Statist. 32, 2004), each variable's square in its group.
-
-    Raises:
-        InputError: on an unknown name.
-        MissingExtra: where scikit-learn is not installed.
     """
     datasets = shipping(name)
     load = getattr(datasets, f"load_{name.removesuffix('-quadratic').replace('-', '_')}")
@@ -231,17 +223,18 @@ def read_public(name: str) -> Data:
     if name in ("digits", "iris", "wine", "breast-cancer"):
         classes = np.unique(target)
         target = (target[:, None] == classes[len(classes) == 2 :]).astype(float)
-    theta, target = theta - theta.mean(axis=0), target - target.mean(axis=0)
+    data = Data(theta, target).centred()
     if name != "diabetes-quadratic":
-        return Data(theta[:, theta.any(axis=0)], target)
+        return replace(data, theta=data.theta[:, data.theta.any(axis=0)])
     # Variables, their squares (but of sex, which has two values) and products.
-    squared = [j for j in range(theta.shape[1]) if len(np.unique(theta[:, j])) > 2]
-    pairs = list(itertools.combinations(range(theta.shape[1]), 2))
+    theta, count = data.theta, data.theta.shape[1]
+    squared = [j for j in range(count) if len(np.unique(theta[:, j])) > 2]
+    pairs = list(itertools.combinations(range(count), 2))
     products = np.column_stack([theta[:, i] * theta[:, j] for i, j in pairs])
     columns = np.hstack([theta, theta[:, squared] ** 2, products])
-    groups = [*range(theta.shape[1]), *squared, *(theta.shape[1] + i for i in range(len(pairs)))]
+    groups = [*range(count), *squared, *(count + i for i in range(len(pairs)))]
     columns = columns - columns.mean(axis=0)
-    return Data(columns / columns.std(axis=0), target, np.array(groups))
+    return replace(data, theta=columns / columns.std(axis=0), groups=np.array(groups))
 
 
 def drawn(rules: Generator, seed: np.random.SeedSequence) -> Data:
@@ -269,10 +262,10 @@ def drawn(rules: Generator, seed: np.random.SeedSequence) -> Data:
     return Data(theta, clean + level * random.standard_normal(clean.shape), groups, truth)
 
 
-def altered(name: str, theta: Any, target: Array, draw: np.random.Generator) -> tuple[Array, Array]:
-    """Theta (m, k) and target (m, n) of a degenerate problem, by a name of `keys.Alteration`."""
-    theta = np.array(theta if isinstance(theta, np.ndarray) else theta.toarray())
-    target, k = target.copy(), theta.shape[1]
+def altered(name: str, data: Data, draw: np.random.Generator) -> Data:
+    """A degenerate problem with these arrays, dense, by a name of `keys.Alteration`."""
+    theta = np.array(data.theta if isinstance(data.theta, np.ndarray) else data.theta.toarray())
+    target, k = data.target.copy(), theta.shape[1]
     match name:
         case "duplicated columns":  # a fifth: copies, negatives and multiples of others
             count = max(1, k // 5)
@@ -281,4 +274,4 @@ def altered(name: str, theta: Any, target: Array, draw: np.random.Generator) -> 
         case "units 1e-12 to 1e12":
             theta *= 10.0 ** draw.uniform(-12, 12, k)
             target *= 10.0 ** draw.uniform(-12, 12)
-    return theta, target
+    return Data(theta, target, data.groups)

@@ -66,8 +66,7 @@ KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, 
 class ProblemSource:
     """One problem: the source of its arrays, and their alteration.
 
-    series: the entry it belongs to; identity: what determines its numbers; keys: of the entry;
-    test: the rows that are held out in a file.
+    series: the entry it belongs to; identity: what determines its numbers; keys: of the entry.
     """
 
     name: str
@@ -77,7 +76,6 @@ class ProblemSource:
     alter: str
     seed: int
     keys: ProblemKeys
-    test: data_sets.Data | None
 
     def build(self) -> data_sets.Data:
         """The arrays of the problem, checked as a regression problem.
@@ -87,16 +85,11 @@ class ProblemSource:
         """
         try:
             data = self.make().real()
-            if self.test is not None:
-                rows = self.test.real()
-                data = replace(data, test=(rows.theta, rows.target))
             if self.keys.intercept:
                 data = data.centred()
             if self.alter != "as it is":
                 random = np.random.default_rng(stream(self.seed, 0, 300))
-                data = data_sets.Data(
-                    *data_sets.altered(self.alter, data.theta, data.target, random), data.groups
-                )
+                data = data_sets.altered(self.alter, data, random)
             RegressionProblem.from_arrays(data.theta, data.target, data.groups, names=data.names)
         except InputError as error:
             raise InputError(f"problem {self.name!r}: {error}") from None
@@ -259,7 +252,7 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     only(entry, (kind, "name", "alter", *KINDS[kind]), place)
     keys, rest = schema.taken(ProblemKeys, entry, place)
     name = series = keys.name or str(entry[kind])
-    folder, test, beside = Path(place.file).parent, None, None
+    folder, beside = Path(place.file).parent, None
     more = [*keys.target, *["intercept"] * keys.intercept] or None
     made: list[tuple[Callable[[], data_sets.Data], Any]]  # arrays, and what determines them
     if kind == "file":
@@ -269,7 +262,8 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
         made = [(lambda: data, digest_of(path))]
         if keys.test:
             path = folder / keys.test
-            test, beside = data_sets.read_data(path, keys.target, data), digest_of(path)
+            data = replace(data, test=data_sets.read_data(path, keys.target, data))
+            beside = digest_of(path)
     elif kind == "dataset":
         made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":
@@ -292,7 +286,7 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
         for alter in keys.alter:
             own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
             whole = canonical_json([identity, more, beside, alter, seed])
-            yield ProblemSource(own, series, make, whole, alter, seed, keys, test)
+            yield ProblemSource(own, series, make, whole, alter, seed, keys)
 
 
 def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_sets.Data:

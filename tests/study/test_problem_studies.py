@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -18,8 +19,8 @@ from sparsefit.cli import main
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.study import data_sets
 from sparsefit.study.arena import Case, cross_validated, median_interval, recovered
-from sparsefit.study.data_sets import DATASETS, Data, drawn, read_data, read_public
-from sparsefit.study.keys import Clock, Generator
+from sparsefit.study.data_sets import Data, drawn, read_data, read_public
+from sparsefit.study.keys import Clock, DataSet, Generator
 from sparsefit.study.problem_desk import part_of, signs_of
 from sparsefit.study.store import read_cases
 from sparsefit.study.worker import cpu_seconds
@@ -118,6 +119,7 @@ COMMAND = """
 import sys, time
 import numpy as np
 from pathlib import Path
+from typing import get_args
 time.sleep(0.7)
 folder = Path(sys.argv[1])
 X, y = np.load(folder / "design.npy"), np.load(folder / "target.npy")
@@ -230,7 +232,7 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
     data = study.planned._data[0]
     assert (data.names, data.theta.shape, data.target.shape) == (("a", "b"), (30, 2), (30, 2))
     assert np.abs(data.theta.mean(axis=0)).max() < 1e-15
-    np.testing.assert_allclose(data.test[1][:, 0], data.test[0] @ [1.0, -2.0])
+    np.testing.assert_allclose(data.test.target[:, 0], data.test.theta @ [1.0, -2.0])
     assert study.call(study.plan()["candidate"][0]).startswith("sf.fit(theta, target, 'lasso'")
     other = load(tmp_path, entry.replace('["drag", "lift"]', '["lift", "drag"]'))
     assert study.plan()["case_id"][0] != other.plan()["case_id"][0]
@@ -367,7 +369,7 @@ def test_what_is_no_contender_is_refused_by_key(tmp_path, text, said):
     assert said in refusal(tmp_path, f"{PROBLEMS}{CORRELATED}{solvers}[[backends]]\n{text}\n")
 
 
-@pytest.mark.parametrize("name", DATASETS)
+@pytest.mark.parametrize("name", get_args(DataSet))
 def test_every_data_set_is_a_problem(name):
     pytest.importorskip("sklearn")
     data = read_public(name)
