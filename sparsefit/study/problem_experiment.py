@@ -313,26 +313,22 @@ def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
                 listed.append(Contender(*words))
                 entries.append(keys)
                 foreign = foreign or _foreign(keys.name, recipe)
-    about = crossing.facts(about_contenders, listed, foreign=foreign, place=here)
+    names = list(filter(None, ("exact", *recipes)))
+    about = crossing.facts(about_contenders, listed, names, foreign=foreign, place=here)
     contenders: list[Contender] = []
     for keys, contender, facts in zip(entries, listed, about, strict=True):
-        recipe = contender.recipe
-        if "refused" in facts:
-            named = ", ".join(filter(None, ("exact", *recipes)))
-            known = recipe is None or bool(recipe.file) or recipe.name in ("exact", *recipes)
-            raise here.error(facts["refused"] + f"; beside there are {named}" * (not known))
-        if keys.certified and not facts["exact"]:
+        exact, stoppable, solver = map(facts.pop, ("exact", "stops", "solver"))
+        if keys.certified and not exact:
             why = "is for an exact path of sparsefit: no other certifies its answers"
             raise here.at("certified").error(why)
-        recipe, solver = (None, facts["solver"]) if facts["solver"] else (recipe, contender.solver)
-        changes = {key: facts[key] for key in ("even", "family", "missing", "compiles")}
-        changes["recipe"] = recipe
-        contender = replace(contender, solver=solver + ", certified" * keys.certified, **changes)
+        recipe = None if solver else contender.recipe
+        solver = (solver or contender.solver) + ", certified" * keys.certified
+        contender = replace(contender, solver=solver, recipe=recipe, **facts)
         if any(other.names == contender.names for other in contenders):
             what = f'lists "{contender.solver}" twice for "{contender.objective}"'
             remedy = "one label is one objective, so give each of its settings a label of its own"
             raise here.error(f"{what}: {remedy}")
-        stops = keys.tolerances or file.tolerances if facts["stops"] else (math.nan,)
+        stops = keys.tolerances or file.tolerances if stoppable else (math.nan,)
         contenders += [replace(contender, tolerance=stop) for stop in sorted(stops, reverse=True)]
     return tuple(contenders)
 
@@ -383,12 +379,12 @@ def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, 
     return recipes
 
 
-def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
-    """Of each contender: its solver, family, whether it stops at a tolerance and `compiles`.
+def about_contenders(listed: Sequence[Contender], names: Sequence[str]) -> list[dict[str, Any]]:
+    """Of each contender the fields of it that follow from its code, and of its solver:
 
     solver: the name of the back-end's own, empty where the recipe's counts; exact: whether that is
-    an exact path of sparsefit; even: whether the penalty of -V is that of V; missing: why it cannot
-    run here. Of one that is none, the reason why it is `refused`.
+    an exact path of sparsefit; stops: whether at a tolerance. Raises InputError of one that is
+    none, with the names of those that the study has where it is of another.
     """
     problem, content = small_problem(), []
     for contender in listed:
@@ -423,5 +419,7 @@ def about_contenders(listed: Sequence[Contender]) -> list[dict[str, Any]]:
         except MissingExtra as error:
             about |= {"solver": name, "missing": str(error).removeprefix(f"{name}: ")}
         except (SparsefitError, TypeError, ValueError) as error:
-            about["refused"] = str(error)
+            known = recipe is None or recipe.file or recipe.name in names
+            hint = "" if known else f"; beside there are {', '.join(names)}"
+            raise InputError(f"{error}{hint}") from None
     return content
