@@ -89,20 +89,6 @@ class Cell:
     backend: BackendPoint
 
 
-def _read_part(name: str, section: Section, place: Place) -> Any:
-    """The record of a section, one of `SECTION_KEYS`."""
-    if name == "flights":
-        return (read_logs if "files" in section else read_flight_rules)(section, place)
-    if name == "readout":
-        return build(Readout, {"refine": UNNAMED, **section}, place)
-    if name != "library":
-        return build(Derivative if name == "derivative" else Stream, section, place)
-    only(section, SECTION_KEYS[name], place)
-    grid, rest = taken(LengthScaleGrid, section, place)
-    # Without a word about the grid, the library keeps the default that is its own.
-    return build(Library, ({"grid": grid} if len(rest) < len(section) else {}) | rest, place)
-
-
 def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = None) -> Setup:
     """The setup of the sections; `InputError` names the section and the key.
 
@@ -111,8 +97,21 @@ def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = 
     parts = {} if parts is None else parts
     content = [json.dumps([name, sections.get(name, {})], default=repr) for name in SECTION_KEYS]
     for name, words in zip(SECTION_KEYS, content, strict=True):
-        if words not in parts:
-            parts[words] = _read_part(name, sections.get(name, {}), place.within(name))
+        section, here = sections.get(name, {}), place.within(name)
+        if words in parts:
+            continue
+        if name == "flights":
+            parts[words] = (read_logs if "files" in section else read_flight_rules)(section, here)
+        elif name == "library":
+            only(section, SECTION_KEYS[name], here)
+            grid, rest = taken(LengthScaleGrid, section, here)
+            # Without a word about the grid, the library keeps the default that is its own.
+            given = {"grid": grid} if len(rest) < len(section) else {}
+            parts[words] = build(Library, given | rest, here)
+        elif name == "readout":
+            parts[words] = build(Readout, {"refine": UNNAMED, **section}, here)
+        else:
+            parts[words] = build(Derivative if name == "derivative" else Stream, section, here)
     setup = Setup(*(parts[words] for words in content))
     combined = "".join(content[1:])
     if combined not in parts:

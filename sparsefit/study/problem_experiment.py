@@ -25,7 +25,7 @@ import itertools
 import math
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -147,7 +147,17 @@ class ProblemExperiment(Plan):
     @cached_property
     def cells(self) -> dict[str, list[Any]]:
         """The contenders, in their titles at a tolerance where they take part at several."""
-        contenders, case_ids = self.contenders, self._identities()
+        contenders, clock = self.contenders, {**asdict(self.definition.clock), "first": 0.0}
+        judged = {"folds": FOLDS, "support": IN_USE, "stability": True} if self.holds_out else None
+        identities = list[str]()  # all that determines rows: another limit lets others fail
+        for c in contenders:
+            code = " ".join(map(digest_of, c.files))
+            own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
+            if c.recipe is not None and c.recipe.start != SolverKeys.start:
+                own.append(c.recipe.start)
+            identity = [own, str(c.tolerance), self.fractions, clock, judged]
+            identities.append(digest(canonical_json(identity)))
+        case_ids = numbered(identities)
         names = [contender.names for contender in contenders]
         several = Counter(names)
         ends = [f" at {c.tolerance:g}" if several[c.names] > 1 else "" for c in contenders]
@@ -165,19 +175,6 @@ class ProblemExperiment(Plan):
             "settings": [contender.content for contender in contenders],
             "case_id": case_ids,
         }
-
-    def _identities(self) -> list[str]:
-        """A hash of all that determines the rows of each cell: another limit lets others fail."""
-        clock = {**asdict(self.definition.clock), "first": 0.0}
-        judged = {"folds": FOLDS, "support": IN_USE, "stability": True} if self.holds_out else None
-        content = []
-        for c in self.contenders:
-            code = " ".join(map(digest_of, c.files))
-            own = [c.objective, c.backend, c.content, c.solver, c.certified, c.limit, code]
-            if c.recipe is not None and c.recipe.start != SolverKeys.start:
-                own.append(c.recipe.start)
-            content.append(canonical_json([own, str(c.tolerance), self.fractions, clock, judged]))
-        return numbered(map(digest, content))
 
     def version(self, cell: int) -> str:
         """The version of the code and of a plug-in, and a digest of the machine."""
@@ -308,7 +305,12 @@ def _read_contenders(file: ProblemFile, place: Place) -> tuple[Contender, ...]:
             raise here.at(crossing.ALPHA).error("is a single fit's: [path] sets the penalties")
         label, limit = keys.label or crossing.named(keys.name, settings), file.clock.limit
         for name in keys.solver:
-            for solver, recipe in _recipes_of(name, recipes):
+            solvers: list[tuple[str, Recipe | None]] = [(name, Recipe(name) if name else None)]
+            if name and name in recipes:
+                solvers = [*recipes[name]]
+            elif name not in ("", *solver_names()) and "" in recipes:  # of the file without a name
+                solvers = [(name + words, replace(own, name=name)) for words, own in recipes[""]]
+            for solver, recipe in solvers:
                 words = (label, keys.name, settings, solver, recipe, keys.certified, limit)
                 listed.append(Contender(*words))
                 entries.append(keys)
@@ -339,22 +341,6 @@ def _foreign(backend: str, recipe: Recipe | None) -> bool:
     if recipe is None or recipe.command:
         return own
     return own or bool(recipe.file) or recipe.name in {*solver_names()} - {REFEREE}
-
-
-def _recipes_of(
-    name: str, recipes: Mapping[str, list[tuple[str, Recipe]]]
-) -> list[tuple[str, Recipe | None]]:
-    """The words and a recipe of every contender that ``solver`` of a back-end names.
-
-    A name that is of no entry and no package is of the file whose entry has no name.
-    """
-    if not name:
-        return [("", None)]
-    if name in recipes:
-        return [*recipes[name]]
-    if name in solver_names() or "" not in recipes:
-        return [(name, Recipe(name))]
-    return [(name + words, replace(recipe, name=name)) for words, recipe in recipes[""]]
 
 
 def _read_solvers(file: ProblemFile, place: Place) -> dict[str, list[tuple[str, Recipe]]]:
