@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -119,7 +118,6 @@ COMMAND = """
 import sys, time
 import numpy as np
 from pathlib import Path
-from typing import get_args
 time.sleep(0.7)
 folder = Path(sys.argv[1])
 X, y = np.load(folder / "design.npy"), np.load(folder / "target.npy")
@@ -369,7 +367,7 @@ def test_what_is_no_contender_is_refused_by_key(tmp_path, text, said):
     assert said in refusal(tmp_path, f"{PROBLEMS}{CORRELATED}{solvers}[[backends]]\n{text}\n")
 
 
-@pytest.mark.parametrize("name", get_args(DataSet))
+@pytest.mark.parametrize("name", DataSet.__args__)
 def test_every_data_set_is_a_problem(name):
     pytest.importorskip("sklearn")
     data = read_public(name)
