@@ -20,12 +20,7 @@ import numpy as np
 
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
-from sparsefit.estimator.estimate import (
-    FlightEstimate,
-    RungEstimate,
-    ScaleEstimate,
-    flight_fields,
-)
+from sparsefit.estimator.estimate import FlightEstimate, RungEstimate, ScaleEstimate, flight_fields
 from sparsefit.estimator.prepare import Prepared
 from sparsefit.flight.flow import SuperposedFlow
 from sparsefit.flight.waves import WaveFlow

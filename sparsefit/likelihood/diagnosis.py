@@ -21,9 +21,10 @@ from itertools import product
 
 import numpy as np
 
+from sparsefit.arrays import Array
 from sparsefit.errors import InputError
-from sparsefit.likelihood.causes import ALIKE, BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
-from sparsefit.likelihood.gains import Gain, chance_of, gains_of
+from sparsefit.likelihood.causes import BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
+from sparsefit.likelihood.gains import Gain, chance_of, gains_of, groups_of
 from sparsefit.likelihood.model import LEVELS, SLOWEST, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
@@ -185,7 +186,7 @@ def diagnose(
             break
         if best.cause is not None and best.cause.wanders:
             there = _tuned(refit, there, best.free)
-            there = _in_bursts(refit, there) if best.free == "turbulence" else there
+            there = _varied(refit, there) if best.free == "turbulence" else there
             wandering += gain_of_it
         rivals += [(there, start, True)] if suspects else []
         if best.suspicious:
@@ -267,15 +268,9 @@ def scanned(start: Posterior, process: Process) -> tuple[float, tuple[Model, ...
         values = np.array([[own.value for own in each] for each in passes])
         best = np.where(np.isfinite(values), values, -np.inf).argmax(axis=0).tolist()
         every = [tuple(every[level][flight] for flight, level in enumerate(best))]
-    likely = [_reached(start, models) for models in every]
+    likely = [_pass(start, models).reached for models in every]
     gain = 2.0 * (max(likely) - start.log_likelihood)
     return gain, every[likely.index(max(likely))]
-
-
-def _reached(start: Posterior, models: Sequence[Model]) -> float:
-    """The log-likelihood after a step of the parameters of models, -inf where it is no number."""
-    value = _pass(start, models).reached
-    return value if math.isfinite(value) else -math.inf
 
 
 def _pass(start: Posterior, models: Sequence[Model]) -> Step:
@@ -303,7 +298,7 @@ def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
         simple = pattern.reshaped(name, drifting)
         if len(pattern.waves) == 2 and len(simple.values) < len(pattern.values):
             models = [replace(model, pattern=simple) for model in posterior.models]
-            near = _reached(posterior, models) > posterior.log_likelihood - LOST
+            near = _pass(posterior, models).reached > posterior.log_likelihood - LOST
             least = posterior.log_likelihood - LOST  # of likelihood: more than BIC gains
             there = refit(models, posterior, least) if near else None
             if there is not None and there.bic < posterior.bic:
@@ -346,7 +341,7 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
             models += with_process([model], moved)
         return models
 
-    factor = max((TUNED, 1.0 / TUNED), key=lambda own: _reached(posterior, at(own)))
+    factor = max((TUNED, 1.0 / TUNED), key=lambda own: _pass(posterior, at(own)).reached)
     for _ in range(3):
         least = posterior.log_likelihood + 0.5
         there = refit(at(factor), posterior, least)
@@ -356,33 +351,53 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
     return posterior
 
 
-def _in_bursts(refit: Refit, posterior: Posterior) -> Posterior:
-    """The posterior with gusts that come and go, where the scores of a log's parts say they do.
+def _varied(refit: Refit, posterior: Posterior) -> Posterior:
+    """The posterior with gusts that vary in time and by direction, where their scores say so.
 
-    The score of a part by the logarithm of its variance is a - n, of the variance n where all parts
-    have one level. Where they have not, each part's variance is multiplied by a/n, a few times.
+    The score of a part of a log by the logarithm of its variance is a - n, of the variance n where
+    all parts have one level; where they have not, each variance is multiplied by a/n, a few times.
+    So is the covariance of the components: their scores in two frames are those of a matrix.
     """
     for _ in range(ROUNDS):
         models = list[Model]()
         for leg in posterior.legs:
-            gusts = leg.model.disturbance.processes[-1]
+            gusts, frames = leg.model.disturbance.processes[-1], list[Array]()
             last = leg.last or leg.forward(()).backward(np.zeros(0))  # none at levels just set
-            old = gusts.course or (1.0,)
-            count = max(len(old), min(float(last.squares[-1, 1]) / DEGREES, MOST_PARTS))
-            here = replace(leg, last=None).forward((), block=math.ceil(len(leg.track) / count))
-            a, n = here.backward(np.zeros(0)).parts[:, -1].T + 0.5
-            if gusts.course or chance_of(float(np.sum((a - n) ** 2 / n)), len(n)) < FALSE_ALARM:
-                new = np.linspace(0.0, 1.0, len(n))
-                course = np.interp(new, np.linspace(0.0, 1.0, len(old)), old) * a / n
+            count = min(max(float(last.squares[-1, 1]) / DEGREES, 1.0), MOST_PARTS)
+            block = math.ceil(len(leg.track) / (len(gusts.course) or count))
+            mixing = np.array(gusts.mixing or np.eye(2))
+            for turn in (np.eye(2), math.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])):
+                turned = replace(gusts, mixing=_rows_of(mixing @ turn))
+                here = leg.with_model(with_process([leg.model], turned)[0])
+                last = here.forward((), block=block).backward(np.zeros(0))
+                frames.append(last.parts[:, -2:])
+            parts, sides = frames[0].sum(axis=1).T + 0.5, np.hstack(frames).sum(axis=0).T + 0.5
+            in_time, by_side = (
+                chance_of(float(np.sum((a - n) ** 2 / n)), freedom) < FALSE_ALARM
+                for (a, n), freedom in ((parts, len(parts.T)), (sides, 2))
+            )
+            if gusts.course or in_time:
+                course = np.array(gusts.course or np.ones(len(parts.T))) * parts[0] / parts[1]
                 gusts = replace(gusts, course=tuple((course / course.mean()).tolist()))
+            if gusts.mixing or by_side:
+                a, n = ([[x, 0.5 * (u - v)], [0.5 * (u - v), y]] for x, y, u, v in sides)
+                size, axes = np.linalg.eigh(n)
+                white = mixing @ (axes / np.sqrt(size)) @ axes.T
+                covariance = white @ a @ white.T
+                root = np.linalg.cholesky(2.0 * covariance / np.trace(covariance))
+                gusts = replace(gusts, mixing=_rows_of(root))
             models += with_process([leg.model], gusts)
         least = posterior.log_likelihood + CHANCE
-        varied = models != list(posterior.models)
-        there = refit(models, posterior, least) if varied else None
+        there = refit(models, posterior, least) if models != list(posterior.models) else None
         if there is None or there.log_likelihood < least:
             break
         posterior = there
     return posterior
+
+
+def _rows_of(matrix: Array) -> tuple[tuple[float, ...], ...]:
+    """A matrix as a tuple of rows."""
+    return tuple(map(tuple, matrix.tolist()))
 
 
 def fitted(
@@ -463,24 +478,6 @@ def disturbed(posterior: Posterior) -> bool:
     if posterior.exact or posterior.pushed or not posterior.seen > 1.0:
         return False
     return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
-
-
-def groups_of(model: Model, closed: set[str]) -> dict[str, tuple[str, ...]]:
-    """The elements that a cause may free, or that a shape of two waves binds, by its name.
-
-    closed: the names of what is free already.
-    """
-    shut = closed | {name for group in ALIKE if group & closed for name in group}
-    groups = {
-        name: cause.elements
-        for name, cause in FREEDOMS.items()
-        if name not in shut and cause.words and not cause.wanders
-    }
-    pattern = model.pattern
-    if len(pattern.waves) == 2 and pattern.shape != "several":
-        bound = {"turn": pattern.shape != "pair", "drift": not pattern.drifting}
-        groups |= {name: SHAPES[name].elements for name, own in bound.items() if own}
-    return groups
 
 
 def freer(models: Sequence[Model], group: str, *, answers: bool) -> list[Trial]:

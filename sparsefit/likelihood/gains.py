@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array
+from sparsefit.likelihood.causes import ALIKE, FREEDOMS, SHAPES
+from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.posterior import Posterior
 
 NUDGE = 1e-6  # of a step, to first order
@@ -21,6 +23,24 @@ class Gain:
     step: Array  # of the elements (g,)
     error: Array  # their standard errors (g,)
     moves: tuple[float, float] = (0.0, 0.0)  # relative changes of U0 and L by the step
+
+
+def groups_of(model: Model, closed: set[str]) -> dict[str, tuple[str, ...]]:
+    """The elements that a cause may free, or that a shape of two waves binds, by its name.
+
+    closed: the names of what is free already.
+    """
+    shut = closed | {name for group in ALIKE if group & closed for name in group}
+    groups = {
+        name: cause.elements
+        for name, cause in FREEDOMS.items()
+        if name not in shut and cause.words and not cause.wanders
+    }
+    pattern = model.pattern
+    if len(pattern.waves) == 2 and pattern.shape != "several":
+        bound = {"turn": pattern.shape != "pair", "drift": not pattern.drifting}
+        groups |= {name: SHAPES[name].elements for name, own in bound.items() if own}
+    return groups
 
 
 def gains_of(

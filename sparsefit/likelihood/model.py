@@ -31,7 +31,7 @@ LEVELS = ("acceleration", "position_noise", "velocity_noise")
 
 @dataclass(frozen=True)
 class Process:
-    """Elements that vary in time about their values, each by an independent process of one level.
+    """Elements that vary in time about their values, by processes of one level and one rate.
 
     Args:
         name: the name of the level.
@@ -40,6 +40,7 @@ class Process:
         rate: beta [1/s] of u' = -beta u + level sqrt(2 beta) white; 0: a random walk. For a wind,
             the rate at the rms speed: gusts vary along the path (`Model.space`).
         course: factors of the level's variance at equal parts of the log; none: it is constant.
+        mixing: A (e, e), for elements of the covariance A A' level^2; none: they are independent.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Process:
     level: float
     rate: float = 0.0
     course: tuple[float, ...] = ()
+    mixing: tuple[tuple[float, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -179,9 +181,9 @@ class Model:
         """
         disturbance, order = self.disturbance, list(ELEMENTS)
         walkers = [
-            (order.index(name), process, process.level**2, level)
+            (order.index(name), process, process.level**2, level, number)
             for level, process in enumerate(disturbance.processes, len(LEVELS))
-            for name in process.elements
+            for number, name in enumerate(process.elements)
         ]
         levels, states = len(disturbance.levels), 4 + len(walkers)
         kicks, spread, noise = (np.zeros((levels, width)) for width in (states, states, 4))
@@ -189,8 +191,11 @@ class Model:
         noise[1, :2] = disturbance.position_noise**2
         noise[2, 2:] = disturbance.velocity_noise**2
         length = 0 if track is None else len(track)
-        pace = np.ones((length, states + len(walkers)))
-        for state, (place, process, variance, level) in enumerate(walkers, 4):
+        pace, mixing = np.ones((length, states + len(walkers))), np.eye(len(walkers))
+        for state, (place, process, variance, level, number) in enumerate(walkers, 4):
+            if process.mixing:
+                first = state - 4 - number
+                mixing[state - 4, first : first + len(process.mixing)] = process.mixing[number]
             rate, course = process.rate, process.course or (1.0,)
             parts = (np.arange(len(course)) + 0.5) * length / len(course)
             pace[:, state] = np.interp(np.arange(length) + 0.5, parts, course)
@@ -205,5 +210,5 @@ class Model:
         places = np.array([walker[0] for walker in walkers], dtype=np.intp)
         rates = np.array([walker[1].rate for walker in walkers], dtype=np.float64)
         return StateSpace(
-            self.elements, places, rates, self.jacobian(names), kicks, spread, noise, pace
+            self.elements, places, mixing, rates, self.jacobian(names), kicks, spread, noise, pace
         )

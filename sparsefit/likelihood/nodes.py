@@ -180,7 +180,7 @@ class Smoothed:
             standardised innovation e/sqrt(S).
         squares: half the sum of r^2 and of its variance (l, 2), times the variance of each level:
             their difference is the derivative of the log-likelihood by its logarithm.
-        parts: the share of the kicks in each block of the pass (b, l, 2).
+        parts: the share of each state's kicks in each block of the pass (b, n, 2).
     """
 
     track: Array

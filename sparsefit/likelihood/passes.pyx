@@ -59,6 +59,16 @@ cdef inline double dot(Py_ssize_t n, const double* x, const double* y) noexcept 
     return total
 
 
+cdef inline void mix(Py_ssize_t w, const double* mixing, double* slope) noexcept nogil:
+    """Turn derivatives (w,) by the elements that vary into those by the states that move them."""
+    cdef double own[STATES]
+    cdef Py_ssize_t i
+    memcpy(own, slope, w * sizeof(double))
+    memset(slope, 0, w * sizeof(double))
+    for i in range(w):
+        add(w, own[i], mixing + i * w, slope)
+
+
 cdef void acceleration(
     const double* element, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t count,
     const double* state, double time, double age, double tx, double ty, Force* force,
@@ -142,9 +152,8 @@ cdef struct Step:
 
 cdef void transition(
     const double* elements, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t w, Py_ssize_t p,
-    const double* rates, const double* pace, double time, double start, double step,
-    const double* push,
-    const double* track, double* full, Force* force, Step* result,
+    const double* mixing, const double* rates, const double* pace, double time, double start,
+    double step, const double* push, const double* track, double* full, Force* force, Step* result,
 ) noexcept nogil:
     """One step of Runge and Kutta's fourth order with its derivatives; `ids` are walkers first."""
     cdef double state[4]
@@ -153,7 +162,7 @@ cdef void transition(
     cdef double total[4][STATES + COLUMNS]
     cdef double whole[4]
     cdef double share, weight, reach, x, y, u, v, ux, uy, uu, uv, vx, vy, vu, vv
-    cdef Py_ssize_t k, i, stage, width = 4 + w + p
+    cdef Py_ssize_t k, i, j, stage, width = 4 + w + p
     memset(speed, 0, sizeof(speed))
     memset(whole, 0, sizeof(whole))
     for k in range(4):
@@ -169,7 +178,8 @@ cdef void transition(
             full[ids[i]] = elements[ids[i]]
         for i in range(w):
             result.fading[i] = exp(-rates[i] * pace[i] * reach) if rates[i] != 0.0 else 1.0
-            full[ids[i]] += result.fading[i] * track[4 + i]
+            for j in range(w):
+                full[ids[j]] += mixing[j * w + i] * result.fading[i] * track[4 + i]
         acceleration(
             full, waves, ids, w + p, state, time + reach, time + reach - start,
             (1.0 - share) * push[0] + share * push[2],
@@ -201,13 +211,14 @@ cdef void transition(
         for i in range(width):
             result.slope[k][i] = step / 6.0 * total[k][i]
         result.slope[k][k] += 1.0
+        mix(w, mixing, result.slope[k] + 4)  # states of one process fade alike
     for i in range(w):
         result.following[4 + i] = result.fading[i] * track[4 + i]
 
 
 cdef void observation(
-    const double* elements, const Py_ssize_t* walkers, Py_ssize_t w, const double* state,
-    double* full, double* reading, double (*by_state)[STATES], ByOwn* by_element,
+    const double* elements, const Py_ssize_t* walkers, Py_ssize_t w, const double* mixing,
+    const double* state, double* full, double* reading, double (*by_state)[STATES], ByOwn* by_element,
 ) noexcept nogil:
     """The readings (4,) of a state, H (4, 4 + w), the derivatives by the elements (4, 22).
 
@@ -217,7 +228,7 @@ cdef void observation(
     for i in range(w):
         full[walkers[i]] = elements[walkers[i]]
     for i in range(w):
-        full[walkers[i]] += state[4 + i]
+        full[walkers[i]] += dot(w, mixing + i * w, state + 4)
     cdef double place = full[14], rate = full[15], turn = full[18]
     cdef double co = cos(turn) if turn != 0.0 else 1.0, si = sin(turn) if turn != 0.0 else 0.0
     cdef double vx = co * state[2] - si * state[3], vy = si * state[2] + co * state[3]
@@ -234,6 +245,7 @@ cdef void observation(
     for c in range(4):
         for i in range(w):
             by_state[c][4 + i] = by_element[c][walkers[i]]
+        mix(w, mixing, by_state[c] + 4)
 
 
 def _room(states, columns, waves):
@@ -249,6 +261,7 @@ def forward(
     """Filter a block of nodes, as `reference.forward` does; rows and sums change in place."""
     cdef Vector elements = space.elements, rates = np.append(space.rates, 0.0), time = nodes.time
     cdef Matrix kicks = space.kicks, noise = space.noise, pace = space.pace
+    cdef Vector mixing = np.append(space.mixing, 0.0)
     cdef Matrix push = nodes.push, measured = nodes.measured, weights = nodes.weights
     cdef Matrix adjoint = track if last is None else last.adjoint
     cdef Matrix scores = track if last is None else last.scores
@@ -289,7 +302,8 @@ def forward(
                 memcpy(saved + k * c, &rows[k, 0], c * sizeof(double))
             saved += n * c
         observation(
-            &elements[0], &ids[0], w, &track[i, 0], &full[0], reading, by_state, by_element
+            &elements[0], &ids[0], w, &mixing[0], &track[i, 0], &full[0], reading, by_state,
+            by_element,
         )
         for channel in range(4):
             if weights[i, channel] <= 0.0:
@@ -322,8 +336,8 @@ def forward(
             break
         dt = time[i + 1] - time[i]
         transition(
-            &elements[0], waves, &ids[0], w, moving, &rates[0], &pace[i, n], time[i], time[0], dt,
-            &push[i, 0], &track[i, 0], &full[0], &force, &step,
+            &elements[0], waves, &ids[0], w, moving, &mixing[0], &rates[0], &pace[i, n], time[i],
+            time[0], dt, &push[i, 0], &track[i, 0], &full[0], &force, &step,
         )
         for k in range(n):
             for j in range(levels):

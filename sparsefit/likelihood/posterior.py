@@ -283,13 +283,13 @@ def measure(
             ]
             stride, hold = max(int(min(strides)), 1), 2
             rate = math.sqrt(2.0) * math.pi * speed / length + 1e-9
-            legs = tuple(Leg.of(*pair, stride) for pair in pairs)
-            legs = tuple(
-                leg.at({LEVELS[0]: max(
-                    ANNEAL * speed / math.sqrt(rate) / leg.model.values["response_time"],
-                    leg.model.disturbance.acceleration,
-                )}) for leg in legs
-            )  # fmt: skip
+            push = ANNEAL * speed / math.sqrt(rate)
+            kicks = [
+                max(push / each.values["response_time"], each.disturbance.acceleration)
+                for each in models
+            ]
+            placed = (Leg.of(*pair, stride) for pair in pairs)
+            legs = tuple(leg.at({LEVELS[0]: q}) for leg, q in zip(placed, kicks, strict=True))
             if stride > 1:
                 few, hold = climbed(legs, floors, PASSES)[0], 0
                 legs = tuple(leg.again(1) for leg in few)

@@ -80,7 +80,8 @@ class StateSpace:
 
     Args:
         elements: the values of the elements (e + 5 j,).
-        walkers: the elements (w,) that are states, 4 to n.
+        walkers: the elements (w,) that vary by the states 4 to n.
+        mixing: the derivatives (w, w) of these elements by the states.
         rates: their rates beta (w,) [1/s].
         chain: the derivatives (e + 5 j, p) of the elements by the parameters in question.
         kicks: the variance per second that each level gives to each state (l, n).
@@ -91,6 +92,7 @@ class StateSpace:
 
     elements: Array
     walkers: IntArray
+    mixing: Array
     rates: Array
     chain: Array
     kicks: Array
@@ -129,7 +131,7 @@ def following(
     for share, weight in ((0.0, 1.0), (0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
         fading = np.exp(-share * steps * (space.rates * space.pace[: len(steps), len(states) :]).T)
         full = np.repeat(elements[:, None], len(steps), axis=1).astype(states.dtype)
-        np.add.at(full, space.walkers, fading * states[4:])
+        np.add.at(full, space.walkers, space.mixing @ (fading * states[4:]))
         here = states[:4] + share * steps * speed
         pushed = (1.0 - share) * push[:-1].T + share * push[1:].T
         pull = force(full, here, time[:-1] + share * steps, pushed, start)
@@ -141,7 +143,7 @@ def following(
 def reading(space: StateSpace, elements: Array, states: Array) -> Array:
     """The readings (4, m) of states (n, m)."""
     full = np.repeat(elements[:, None], states.shape[1], axis=1).astype(states.dtype)
-    np.add.at(full, space.walkers, states[4:])
+    np.add.at(full, space.walkers, space.mixing @ states[4:])
     place, rate, bias_x, bias_y, turn, latency, offset_x, offset_y = full[14:22]
     late = 1j * latency.imag if np.iscomplexobj(latency) else 0.0  # nodes stand at its real part
     x, y = states[:2] - late * states[2:4]

@@ -90,8 +90,9 @@ class Step:
 
     @property
     def reached(self) -> float:
-        """The log-likelihood after the step, to second order."""
-        return float(sum(each.value for each in self.passes)) + self.gain
+        """The log-likelihood after the step, to second order; -inf where it is no number."""
+        value = float(sum(each.value for each in self.passes)) + self.gain
+        return value if math.isfinite(value) else -math.inf
 
     @property
     def levels(self) -> list[Array]:

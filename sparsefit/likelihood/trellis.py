@@ -138,7 +138,7 @@ class Pass:
         (m, n), p, levels = track.shape, len(change), len(space.kicks)
         carried, sums = np.zeros((1 + n, n)), np.zeros((len(self.starts), n + 4, 2))
         adjoint, scores = np.zeros((m + 1, 2 * n)), np.empty((m, 12))
-        squares, parts = np.zeros((levels, 2)), np.zeros((len(sums), levels, 2))
+        squares, parts = np.zeros((levels, 2)), sums[:, :n]
         result = Smoothed(track.copy(), adjoint, scores, squares, parts)
         for number in range(len(self.starts) - 1, -1, -1):
             first = number * self.block
@@ -151,9 +151,10 @@ class Pass:
             passes.backward(space, nodes, first, end, step, stored, carried, result, sums[number])
             stored = None
         initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
-        parts += 0.5 * space.kicks @ sums[:, :n]
+        parts *= 0.5 * space.kicks.sum(axis=0)[:, None]
         noise = (space.noise > 0.0) @ sums[:, n:].sum(axis=0)
-        squares += parts.sum(axis=0) + 0.5 * (space.spread @ initial + noise)
+        kicked = (space.kicks > 0.0) @ parts.sum(axis=0)
+        squares += kicked + 0.5 * (space.spread @ initial + noise)
         return result
 
 

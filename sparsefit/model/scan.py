@@ -108,14 +108,9 @@ def axis_gains(rows: FlowRows, rest: Array, bounds: Bounds) -> tuple[Array, Arra
     count = float(own @ own)
     moved = own[:, None] * (rest - np.outer(own, own @ rest / count))
     x, y = (position - middle(position)).T
-    for along, load in (
-        (x + y, moved[:, 0] - moved[:, 1]),
-        (x - y, moved[:, 0] + moved[:, 1]),
-    ):
-        sums, turn = (
-            partial(fourier_sums, along[:, None], step, (half,)),
-            np.exp(1j * centre * along),
-        )
+    for along, load in ((x + y, moved[:, 0] - moved[:, 1]), (x - y, moved[:, 0] + moved[:, 1])):
+        sums = partial(fourier_sums, along[:, None], step, (half,))
+        turn = np.exp(1j * centre * along)
         once, twice = (sums(own * own * turn**n, times=n) / count for n in (1, 2))
         total += gain(sums(math.sqrt(0.5) * load * turn), once, twice, count)
     return centre + step * np.arange(-half, half + 1.0), total

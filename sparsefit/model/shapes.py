@@ -205,11 +205,8 @@ class FlowRows:
             count = -(-len(target) // pieces)
             rows = np.pad(rows, ((0, 0), (0, pieces * count - len(target))))
             x, y, *place, weight = rows.reshape(6, pieces, count)
-            axes, signed = (
-                np.stack([*place[:2], -place[2]]),
-                weight[:, None, None] * [[-1.0], [1.0]],
-            )
-            self._cuts[pieces] = np.hstack([x, y]), axes, signed
+            signed = weight[:, None, None] * [[-1.0], [1.0]]
+            self._cuts[pieces] = np.hstack([x, y]), np.stack([*place[:2], -place[2]]), signed
         return self._cuts[pieces]
 
     @cached_property

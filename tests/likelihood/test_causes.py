@@ -218,7 +218,7 @@ def test_simpler_shapes_that_are_near_are_fitted_first_where_they_stand(
     shape, drift, simpler, lost, monkeypatch
 ):
     tried = []
-    monkeypatch.setattr(room, "_reached", lambda *_: -lost)
+    monkeypatch.setattr(room, "_pass", lambda *_: SimpleNamespace(reached=-lost))
 
     def refit(models, near, _least):
         tried.append((models[0].pattern.shape, models[0].pattern.drifting))
@@ -235,12 +235,13 @@ def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(like
     walk, tried = Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25), []
 
     def reached(_start, models):
-        return -abs(np.log(models[0].disturbance.processes[0].rate / 0.25 / likelier))
+        ratio = models[0].disturbance.processes[0].rate / 0.25 / likelier
+        return SimpleNamespace(reached=-abs(np.log(ratio)))
 
     def refit(models, _near, _least):
         tried.extend(models[0].disturbance.processes)
 
-    monkeypatch.setattr(room, "_reached", reached)
+    monkeypatch.setattr(room, "_pass", reached)
     other = Process("swell", ("gain",), 0.1, 0.1)
     model = Model(pattern_of(), {}, Disturbance(processes=(walk, other)))
     posterior = SimpleNamespace(models=[model], log_likelihood=0.0)

@@ -18,7 +18,7 @@ HEIGHTS = [2.0, 1.0], [0.5, -1.5]
 VALUES = (0.4, 1.1, 0.05, 0.3, -0.2, 0.02, 0.4, -0.3, 0.02, 0.03, 0.01, 0.03, 0.0, 0.02)
 SENSORS = (1.02, 0.97, 0.1, -0.2, 0.03, 0.02)
 PROCESSES = (
-    Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5, (0.3, 1.7)),
+    Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5, (0.3, 1.7), ((1.2, 0.3), (0.1, 0.6))),
     Process("swell", ("gain",), 0.1),
     Process("drift", ("position_bias_x", "position_bias_y"), 0.2, 0.2),
 )

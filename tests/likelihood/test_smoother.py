@@ -8,20 +8,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from sparsefit.errors import InputError
-from sparsefit.likelihood import (
-    Disturbance,
-    FlightLog,
-    Model,
-    Process,
-    StreamPattern,
-    bound,
-    measure,
-    reference,
-)
+from sparsefit.likelihood import reference
 from sparsefit.likelihood import smoother as room
-from sparsefit.likelihood.model import LEVELS
-from sparsefit.likelihood.nodes import Nodes
-from sparsefit.likelihood.posterior import Posterior, at_level
+from sparsefit.likelihood.diagnosis import _varied
+from sparsefit.likelihood.model import LEVELS, Disturbance, Model, Process
+from sparsefit.likelihood.nodes import FlightLog, Nodes
+from sparsefit.likelihood.pattern import StreamPattern
+from sparsefit.likelihood.posterior import Posterior, at_level, bound, measure
 from sparsefit.likelihood.smoother import LevelSteps, Step, _bounded, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
@@ -457,10 +450,10 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
     size, angle = rng.uniform(0.8, 1.4, 40), rng.uniform(0.0, np.pi, 40)
     waves = size[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     along, phases = waves[:, ::-1] * [0.05, -0.05], rng.uniform(0.0, 2.0 * np.pi, 40)
-    walk = np.zeros((601, 2))
+    walk, root = np.zeros((601, 2)), np.array([[1.2, 0.0], [0.6, 0.4]])
     for i in range(600):
-        walk[i + 1] = fade * walk[i] + 0.2 * np.sqrt(1 - fade**2) * rng.normal(size=2)
-    inflations = []
+        walk[i + 1] = fade * walk[i] + 0.8 * np.sqrt(1 - fade**2) * root @ rng.normal(size=2)
+    posteriors = []
     for in_space in (True, False):
         states = np.tile([0.3, -0.8, 2.0, 1.0], (2401, 1))
         for i in range(2400):  # Heun's steps of 0.01 s
@@ -474,10 +467,16 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
         log = FlightLog(0.04 * np.arange(600), readings[:, :2], readings[:, 2:], THRUST)
         turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
         model = Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,)))
-        inflations.append(measure(log, model).inflation)
-    assert inflations[0] > 1.8
-    assert inflations[1] < 1.5  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
+        posteriors.append(measure(log, model))
+    assert posteriors[0].inflation > 1.8
+    assert (
+        posteriors[1].inflation < 1.5
+    )  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
     assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
+    varied = _varied(lambda models, near, _: measure(log, models, near), posteriors[1])
+    assert varied.log_likelihood > posteriors[1].log_likelihood + 20.0
+    own = np.array(varied.model.disturbance.processes[0].mixing)
+    np.testing.assert_allclose(own @ own.T, root @ root.T / 0.98, atol=0.25)
 
 
 @pytest.mark.parametrize(("bend", "slope", "reach"), [(1.0, 0.1, 2.0), (10.0, 0.0, 3.0)])
