@@ -180,35 +180,31 @@ class Model:
         its rms along the track (m, n), with c the velocity of the pattern.
         """
         disturbance, order = self.disturbance, list(ELEMENTS)
-        walkers = [
-            (order.index(name), process, process.level**2, level, number)
-            for level, process in enumerate(disturbance.processes, len(LEVELS))
-            for number, name in enumerate(process.elements)
-        ]
+        walkers = [name for process in disturbance.processes for name in process.elements]
         levels, states = len(disturbance.levels), 4 + len(walkers)
         kicks, spread, noise = (np.zeros((levels, width)) for width in (states, states, 4))
         kicks[0, 2:4] = disturbance.acceleration**2
         noise[1, :2] = disturbance.position_noise**2
         noise[2, 2:] = disturbance.velocity_noise**2
-        length = 0 if track is None else len(track)
-        pace, mixing = np.ones((length, states + len(walkers))), np.eye(len(walkers))
-        for state, (place, process, variance, level, number) in enumerate(walkers, 4):
-            if process.mixing:
-                first = state - 4 - number
-                mixing[state - 4, first : first + len(process.mixing)] = process.mixing[number]
-            rate, course = process.rate, process.course or (1.0,)
+        length, end = 0 if track is None else len(track), 4
+        pace, turning = np.ones((2, length, states))
+        mixing, rates = np.eye(states), np.zeros(states)
+        for level, process in enumerate(disturbance.processes, len(LEVELS)):
+            own, end = slice(end, end + len(process.elements)), end + len(process.elements)
+            rate, variance, course = process.rate, process.level**2, process.course or (1.0,)
             parts = (np.arange(len(course)) + 0.5) * length / len(course)
-            pace[:, state] = np.interp(np.arange(length) + 0.5, parts, course)
-            kicks[level, state] = 2.0 * rate * variance if rate else variance
-            spread[level, state] = course[0] * variance if rate else 0.0
-            if track is not None and rate and order[place] in WIND:
+            pace[:, own] = np.interp(np.arange(length) + 0.5, parts, course)[:, None]
+            mixing[own, own], rates[own] = process.mixing or mixing[own, own], rate
+            kicks[level, own] = 2.0 * rate * variance if rate else variance
+            spread[level, own] = course[0] * variance if rate else 0.0
+            if track is not None and rate and process.elements[0] in WIND:
                 speeds = self.pattern.speed_through(track[:, 2:4])
                 speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
                 squares = speeds**2 + variance + 1e-300
-                pace[:, state + len(walkers)] = np.sqrt(squares / squares.mean())
-                pace[:, state] *= pace[:, state + len(walkers)]
-        places = np.array([walker[0] for walker in walkers], dtype=np.intp)
-        rates = np.array([walker[1].rate for walker in walkers], dtype=np.float64)
+                turning[:, own] = np.sqrt(squares / squares.mean())[:, None]
+                pace[:, own] *= turning[:, own]
+        places = np.array([order.index(name) for name in walkers], dtype=np.intp)
+        paces, jacobian = np.hstack([pace, turning[:, 4:]]), self.jacobian(names)
         return StateSpace(
-            self.elements, places, mixing, rates, self.jacobian(names), kicks, spread, noise, pace
+            self.elements, places, mixing[4:, 4:], rates[4:], jacobian, kicks, spread, noise, paces
         )
