@@ -38,6 +38,7 @@ CLEAR = 8.0  # times a second-order gain: a fit that gained more ends the search
 CALMER = 0.5  # the least gain of a cause beside a process, over that of the process
 TUNED = 3.0  # the factor between the rates of a process that are tried
 DEGREES, MOST_PARTS = 5.0, 64  # of freedom of a part with gusts of its own level; of parts
+FLATTEST = 1e-4  # the least variance of a component of gusts, over that of the other
 BESIDE = 0.1  # the share of white process noise that a search keeps beside a new process
 PASSES = 15  # of a search over all rows
 LAST = 60  # passes towards an answer that has not converged
@@ -50,7 +51,6 @@ COLOURED = 1e-3  # the p-value of innovations that are not white
 TWO_WAVES = ("axis", "square", "rectangle", "pair")  # shapes, each freer than those before
 SCANNED = (0.03, 0.1, 0.3, 1.0)  # shares of a level at which a process is first looked for
 ABSENT = 1e-6  # the share of a flight, of several, without the process
-
 
 Refit = Callable[[Sequence[Model], Posterior, float], Posterior | None]
 """The posterior of models near another one; None if it is unusable, of another flow, or does not
@@ -368,7 +368,8 @@ def _varied(refit: Refit, posterior: Posterior) -> Posterior:
             mixing = np.array(gusts.mixing or np.eye(2))
             for turn in (np.eye(2), math.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])):
                 turned = replace(gusts, mixing=_rows_of(mixing @ turn))
-                here = leg.with_model(with_process([leg.model], turned)[0])
+                track = np.hstack([leg.track[:, :-2], leg.track[:, -2:] @ turn])
+                here = replace(leg, track=track).with_model(with_process([leg.model], turned)[0])
                 last = here.forward((), block=block).backward(np.zeros(0))
                 frames.append(last.parts[:, -2:])
             parts, sides = frames[0].sum(axis=1).T + 0.5, np.hstack(frames).sum(axis=0).T + 0.5
@@ -379,13 +380,13 @@ def _varied(refit: Refit, posterior: Posterior) -> Posterior:
             if gusts.course or in_time:
                 course = np.array(gusts.course or np.ones(len(parts.T))) * parts[0] / parts[1]
                 gusts = replace(gusts, course=tuple((course / course.mean()).tolist()))
-            if gusts.mixing or by_side:
+            if (gusts.mixing or by_side) and np.isfinite(sides).all():
                 a, n = ([[x, 0.5 * (u - v)], [0.5 * (u - v), y]] for x, y, u, v in sides)
                 size, axes = np.linalg.eigh(n)
-                white = mixing @ (axes / np.sqrt(size)) @ axes.T
-                covariance = white @ a @ white.T
-                root = np.linalg.cholesky(2.0 * covariance / np.trace(covariance))
-                gusts = replace(gusts, mixing=_rows_of(root))
+                white = mixing @ (axes / np.sqrt(np.maximum(size, 0.5))) @ axes.T
+                size, axes = np.linalg.eigh(white @ a @ white.T)
+                size = np.maximum(size, FLATTEST * size[-1])  # rounding, in logs without noise
+                gusts = replace(gusts, mixing=_rows_of(axes * np.sqrt(size / size.mean())))
             models += with_process([leg.model], gusts)
         least = posterior.log_likelihood + CHANCE
         there = refit(models, posterior, least) if models != list(posterior.models) else None
