@@ -82,10 +82,10 @@ class Estimator:
 
         shared: whether several back-ends will use it, so that common work belongs here.
         """
-        from sparsefit.estimator.prepare import prepare, together
+        from sparsefit.estimator.prepare import prepare
 
         assert isinstance(self.derivative, Derivative)
-        return prepare(together(flights), self.derivative, self.library, shared=shared)
+        return prepare(flights, self.derivative, self.library, shared=shared)
 
     def fit(self, prepared: Prepared) -> Fit:
         """The certified fit of this estimator's back-end."""

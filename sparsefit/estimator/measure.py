@@ -37,7 +37,7 @@ from sparsefit.likelihood.diagnosis import (
 from sparsefit.likelihood.goodness import Constancy, Goodness, Uncertainty
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
-from sparsefit.likelihood.pattern import SHAPES, StreamPattern
+from sparsefit.likelihood.pattern import SHAPES, StreamPattern, paired
 from sparsefit.likelihood.posterior import Posterior
 from sparsefit.model import Proposal
 from sparsefit.model.ladder import proposed_at
@@ -224,10 +224,11 @@ def measure_flow(
             free_waves = there.model.pattern.reshaped("several", pattern.drifting)
             loose = fitted(logs, [replace(own, pattern=free_waves) for own in there.models], there)
             there = loose if loose is not None and loose.bic < there.bic else there
-        if not alike(there, proposal, near):  # the rows may not exclude it
+        # An optimum that left its proposal is one of its own where the rows do not exclude it.
+        if not there.model.pattern.is_near(proposal.wavevectors, near):
             phases = there.model.pattern.waves[:, [0, 1, 4]]
             proposal = proposed_at(prepared.search, proposal, phases) or proposal
-        if alike(there, proposal, near):
+        if there.model.pattern.is_near(proposal.wavevectors, near):
             starts.append((_loose(there), there, proposal))
     if not starts:
         return None
@@ -250,7 +251,11 @@ def measure_flow(
             return alone, excess
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
         found = diagnose(
-            logs, first, names, shapes=shapes, inside=lambda own: alike(own, proposal, around)
+            logs,
+            first,
+            names,
+            shapes=shapes,
+            inside=lambda own: own.model.pattern.is_near(proposal.wavevectors, around),
         )
         return found, excess
 
@@ -268,7 +273,7 @@ def measure_flow(
             if not _loose(base):  # else others come first
                 least = white.log_likelihood + 0.5 * (white.bic - base.bic - CLOSE)
             again = fitted(logs, gusty, white, least=least)
-            if again is not None and alike(again, rival, near):
+            if again is not None and again.model.pattern.is_near(rival.wavevectors, near):
                 beside.append((_loose(again), again, rival))
         best = min(beside, key=lambda each: (each[0], each[1].bic))
         others = [each for each in beside if each is not best]
@@ -279,12 +284,12 @@ def measure_flow(
     posterior, suspects = diagnosis.believed, diagnosis.suspects
     of_flow = any(own.of_flow for own in suspects)
     refitted = diagnosis.posterior is not diagnosis.believed
-    slight = refitted and not of_flow and _apart(posterior, diagnosis.posterior) < SLIGHT
+    slight = refitted and not of_flow and posterior.apart(diagnosis.posterior) < SLIGHT
     if free == "auto" or (suspects and len(logs) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
     rivals = list[Proposal]()
     for waves_alone, other, rival in others:
-        near_both = min(_apart(own, other) for own in (first, diagnosis.posterior)) <= APART
+        near_both = min(own.apart(other) for own in (first, diagnosis.posterior)) <= APART
         if not (waves_alone or near_both) and other.bic - base.bic < CLOSE:
             rivals.append(rival)
     goodness = Goodness.of(posterior, diagnosis)
@@ -320,30 +325,12 @@ def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
 
     for own in proposals:
         for place, other in enumerate(chosen):
-            if _near(own.wavevectors, other.wavevectors, near):
+            if paired(own.wavevectors, other.wavevectors, near):
                 chosen[place] = min(other, own, key=freedom)
                 break
         else:
             chosen.append(own)
     return chosen
-
-
-def alike(posterior: Posterior, proposal: Proposal, near: float) -> bool:
-    """Whether the waves of an optimum are in the lobe of a proposal."""
-    return _near(posterior.model.pattern.waves[:, :2], proposal.wavevectors, near)
-
-
-def _near(waves: Array, others: Array, near: float) -> bool:
-    """Whether waves (j, 2) and others of equal number pair up within a distance, up to sign."""
-    if len(waves) != len(others):
-        return False
-    apart = np.minimum(*(np.linalg.norm(waves[:, None] + s * others, axis=2) for s in (-1, 1)))
-    return bool((apart.min(axis=1) < near).all() and (apart.min(axis=0) < near).all())
-
-
-def _apart(posterior: Posterior, other: Posterior) -> float:
-    """The larger of the relative differences of U0 and L."""
-    return max(map(abs, posterior.model.pattern.apart(other.model.pattern)))
 
 
 def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> float:

@@ -122,7 +122,11 @@ def ways_of(flight: Flight, latency: float = 0.0) -> tuple[Array, Array, float]:
 
 
 def prepare(
-    flights: Sequence[Flight], derivative: Derivative, library: Library, *, shared: bool = True
+    flights: Flight | Sequence[Flight],
+    derivative: Derivative,
+    library: Library,
+    *,
+    shared: bool = True,
 ) -> Prepared:
     """Derivatives, flow velocity and regression problem of flights through one flow.
 
@@ -135,7 +139,7 @@ def prepare(
     Raises:
         InputError: where a flight does not suit the settings.
     """
-    start, parts = perf_counter(), []
+    start, parts, flights = perf_counter(), [], together(flights)
     for number, flight in enumerate(flights, 1):
         with told_with(f"flight {number}" if len(flights) > 1 else ""):
             own = derivative(flight)
@@ -151,7 +155,7 @@ def prepare(
     if shared:
         _ = problem.design.gram
     seconds = perf_counter() - start
-    return Prepared(tuple(flights), tuple(parts), weights, library, problem, seconds)
+    return Prepared(flights, tuple(parts), weights, library, problem, seconds)
 
 
 def together(flights: Flight | Sequence[Flight]) -> tuple[Flight, ...]:

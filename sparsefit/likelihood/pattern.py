@@ -155,6 +155,10 @@ class StreamPattern:
         speeds = other.mean_velocity / self.mean_velocity
         return speeds - 1.0, other.length_scale / self.length_scale - 1.0
 
+    def is_near(self, wavevectors: Array, distance: float) -> bool:
+        """Whether the waves are near to wavevectors (j, 2), by a distance [rad/m] (`paired`)."""
+        return paired(self.waves[:, :2], wavevectors, distance)
+
     def reshaped(self, shape: str, drifting: bool = False) -> StreamPattern:
         """Return these waves in another shape, about the same origin."""
         kx, ky, a, b, _ = self.waves.T
@@ -176,6 +180,14 @@ class StreamPattern:
             bare = values[: 4 * len(a)].reshape(-1, 4)
             bare[:, 2], bare[:, 3] = a * cos + b * sin, b * cos - a * sin
         return replace(self, values=tuple(values.tolist()), origin=origin)
+
+
+def paired(waves: Array, others: Array, distance: float) -> bool:
+    """Whether wavevectors (j, 2) and others of equal number are near to each other, up to sign."""
+    if len(waves) != len(others):
+        return False
+    apart = np.minimum(*(np.linalg.norm(waves[:, None] + s * others, axis=2) for s in (-1, 1)))
+    return bool((apart.min(axis=1) < distance).all() and (apart.min(axis=0) < distance).all())
 
 
 def _expanded(shape: str, values: Array, drifting: bool) -> Array:

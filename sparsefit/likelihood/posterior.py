@@ -128,6 +128,10 @@ class Posterior:
         free = len(self.names) + len(self.model.disturbance.levels)
         return -2.0 * self.log_likelihood + free * math.log(max(readings, 2))
 
+    def apart(self, other: Posterior) -> float:
+        """The larger of the relative differences of U0 and L of another posterior."""
+        return max(map(abs, self.model.pattern.apart(other.model.pattern)))
+
     def value(self, name: str) -> float:
         """The value of a parameter."""
         return self.model.values[name]
