@@ -36,10 +36,7 @@ def groups_of(model: Model, closed: set[str]) -> dict[str, tuple[str, ...]]:
         for name, cause in FREEDOMS.items()
         if name not in shut and cause.words and not cause.wanders
     }
-    pattern = model.pattern
-    if len(pattern.waves) == 2 and pattern.shape != "several":
-        bound = {"turn": pattern.shape != "pair", "drift": not pattern.drifting}
-        groups |= {name: SHAPES[name].elements for name, own in bound.items() if own}
+    groups |= {name: SHAPES[name].elements for name in model.pattern.bound}
     return groups
 
 

@@ -150,6 +150,13 @@ class StreamPattern:
         kx, ky = self.waves[:, :2].T
         return math.pi * math.sqrt(2.0 / float(np.mean(kx**2 + ky**2)))
 
+    @property
+    def bound(self) -> tuple[str, ...]:
+        """The freedoms of two waves that the shape does not give them (`causes.SHAPES`)."""
+        given = {"turn": self.shape == "pair", "drift": self.drifting}
+        pair = len(self.waves) == 2 and self.shape != "several"
+        return tuple(name for name, free in given.items() if pair and not free)
+
     def apart(self, other: StreamPattern) -> tuple[float, float]:
         """Relative differences of U0 and L of another pattern from these."""
         speeds = other.mean_velocity / self.mean_velocity
