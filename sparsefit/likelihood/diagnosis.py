@@ -186,7 +186,7 @@ def diagnose(
             break
         if best.cause is not None and best.cause.wanders:
             there = _tuned(refit, there, best.free)
-            there = _varied(refit, there) if best.free == "turbulence" else there
+            there = _varied(refit, there, shapes) if best.free == "turbulence" else there
             wandering += gain_of_it
         rivals += [(there, start, True)] if suspects else []
         if best.suspicious:
@@ -351,12 +351,13 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
     return posterior
 
 
-def _varied(refit: Refit, posterior: Posterior) -> Posterior:
+def _varied(refit: Refit, posterior: Posterior, directed: bool = True) -> Posterior:
     """The posterior with gusts that vary in time and by direction, where their scores say so.
 
     The score of a part of a log by the logarithm of its variance is a - n, of the variance n where
     all parts have one level; where they have not, each variance is multiplied by a/n, a few times.
     So is the covariance of the components: their scores in two frames are those of a matrix.
+    directed: whether it may be; cells that are held in a wrong shape leave gusts of a direction.
     """
     for _ in range(ROUNDS):
         models = list[Model]()
@@ -380,7 +381,7 @@ def _varied(refit: Refit, posterior: Posterior) -> Posterior:
             if gusts.course or in_time:
                 course = np.array(gusts.course or np.ones(len(parts.T))) * parts[0] / parts[1]
                 gusts = replace(gusts, course=tuple((course / course.mean()).tolist()))
-            if (gusts.mixing or by_side) and np.isfinite(sides).all():
+            if directed and (gusts.mixing or by_side) and np.isfinite(sides).all():
                 a, n = ([[x, 0.5 * (u - v)], [0.5 * (u - v), y]] for x, y, u, v in sides)
                 size, axes = np.linalg.eigh(n)
                 white = mixing @ (axes / np.sqrt(np.maximum(size, 0.5))) @ axes.T
