@@ -371,7 +371,7 @@ def _root_path(
 
     t/rho(V(t)) does not decrease in t, and between events rho^2 is linear in t^2, so that Newton's
     method on t^2 ends once the events are right. A bracket keeps it safe. Below some penalty an
-    optimum fits the data exactly, and is the limit for t -> 0.
+    optimum fits the data exactly, and is the limit for t -> 0: tried where no root is known above.
     """
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples)) or 1.0
     inner = replace(penalty, loss=SQUARES)
@@ -409,10 +409,11 @@ def _root_path(
         near = np.abs(excess) <= SETTLED * x[at]
         hidden = (misfit <= 2.0 * off) & ~near  # perhaps no residual remains: look there
         near |= (np.abs(excess) <= slope[at] * off) & (newton > least) & ~hidden
-        beyond = ((newton <= least) | hidden) & ~tried
+        # No slope, which at a bend is of no use, leads below where the root is known to be above.
+        beyond = ((newton <= least) & (low[at] <= least) | hidden) & ~tried
         inside = (newton > low[at]) & (newton < high[at])
         following = np.where(inside, newton, np.sqrt(low[at]) * np.sqrt(high[at]))
-        gone = (x[at] <= least) & ((excess >= 0) | hidden)
+        gone = (x[at] <= least) & (excess >= 0)
         narrow = high[at] <= low[at] * (1.0 + SETTLED)
         x[at] = np.where(near, x[at], np.where(beyond, least, following))
         floor[at] = tried

@@ -312,11 +312,14 @@ def test_the_gap_sees_what_is_not_optimal():
         assert moved.value > 1e-5
 
 
-def test_an_exact_fit_that_is_certified_has_no_reason_for_doubt():
-    found = fitted(flight_problem(4.0), 0.1)
-    assert (found.status, found.reason) == ("ok", "")
-    assert found.solver_status.startswith("root of the scaled path")
-    assert found.certificate.bound <= 1e-9
+def test_few_rows_are_fitted_nearly_or_exactly_by_the_root_of_the_path():
+    for seed in (5, 11, 19, 50):  # slopes at bends of the residual's rms lead below the root
+        rng = np.random.default_rng(seed)
+        theta = rng.normal(size=(12, 60)) + 3.0 * rng.normal(size=(12, 1))
+        target = theta[:, :3].sum(axis=1) + 0.01 * rng.normal(size=12)
+        for fit in sf.path(theta, target, "square-root-lasso", [0.3, 0.2, 0.1, 0.05]).fits:
+            assert (fit.status, fit.reason, fit.repaired) == ("ok", "", False)
+            assert fit.certificate.bound <= 1e-9
 
 
 def test_sparse_columns_that_descend_are_not_taken_to_an_exact_fit(monkeypatch):
