@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from sparsefit.errors import InputError, is_integer, unknown
+from sparsefit.errors import InputError, is_integer, shown, unknown
 from sparsefit.regression import fit as certified
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
@@ -86,6 +86,7 @@ def distribution(name: str) -> str:
 
 def load(name: str) -> type[Backend]:
     """The class of a back-end. Raises InputError on an unknown name or a broken plug-in."""
+    name = name if isinstance(name, str) else shown(name)
     home = BACKENDS.get(name) or PUBLIC.get(name)
     if home:
         module, _, attribute = home.partition(":")
@@ -153,7 +154,7 @@ def path(
     if isinstance(problem, RegressionProblem) and backend is not None:
         alpha_fractions, backend = backend, None
     posed, chosen = _posed("path", problem, target, backend, settings)
-    if is_integer(alpha_fractions, 2):
+    if is_integer(alpha_fractions, 2, 10**6):
         alpha_fractions = np.geomspace(1.0, FRACTIONS[-1], int(alpha_fractions))
     return certified_path(posed, chosen, alpha_fractions, tolerance=tolerance)
 

@@ -80,18 +80,18 @@ def suggestion(name: str, valid: Iterable[str]) -> str:
 
 def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> InputError:
     """The error for a name that is not among ``valid``, which stand ``listed`` if they are many."""
-    names = list(valid)
-    near = suggestion(str(name), names)
+    text = one_line(name if isinstance(name, str) else shown(name), LONGEST)
+    near = suggestion(text, names := list(valid))
     every = f"listed in {listed}" if listed else f"known: {', '.join(names)}"
     hint = near if near.startswith(":") else ""
-    return InputError(f'unknown {kind} "{one_line(str(name), LONGEST)}"{hint} ({every})')
+    return InputError(f'unknown {kind} "{text}"{hint} ({every})')
 
 
 def one_of(kind: str, value: object, valid: Iterable[str], listed: str = "") -> None:
     """Raise `InputError`, as of `unknown`, unless ``value`` is one of the valid names."""
     names = tuple(valid)
     if not isinstance(value, str) or value not in names:
-        raise unknown(kind, str(value), names, listed)
+        raise unknown(kind, value, names, listed)
 
 
 def is_real(value: object) -> TypeGuard[float]:
@@ -190,7 +190,10 @@ def number_setting(
 
 
 def shown(value: object) -> str:
-    """A value as it appears in a message: on one line, cut where it is long."""
+    """A value as it appears in a message: cut to one line, and the shape of an array."""
+    shape = getattr(value, "shape", ())
+    if isinstance(shape, tuple) and shape:
+        return f"{type(value).__name__} of shape {shape}"
     try:
         return one_line(repr(value), LONGEST)
     except ValueError:  # Python writes no integer of more than 4300 digits

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sparsefit.errors import InputError, is_real
+from sparsefit.errors import InputError, is_real, shown
 from sparsefit.estimator.estimate import Estimate, ScaleEstimate
 from sparsefit.flight import Flight
 from sparsefit.flight.flow import Cells
@@ -31,7 +31,8 @@ class Score:
 def strongest(flow: Flow) -> Cells:
     """The cells of largest mean velocity in ``flow``; raises InputError if it has no cells."""
     if not getattr(flow, "cells", ()):
-        raise InputError(f"score: the true flow must have cells, as CellularFlow has; got {flow!r}")
+        words = "score: the true flow must have cells, as CellularFlow has"
+        raise InputError(f"{words}; got {shown(flow)}")
     cells: Cells = max(flow.cells, key=lambda part: part.mean_velocity)
     return cells
 
@@ -83,9 +84,10 @@ def score_scales(
         InputError: if the tolerance is not above 0, or the flow is no `Flow`.
     """
     if not is_real(tolerance) or not tolerance > 0:
-        raise InputError(f"score_scales: tolerance must be above 0, not {tolerance!r}")
+        raise InputError(f"score_scales: tolerance must be above 0, not {shown(tolerance)}")
     if not isinstance(flow, Flow):
-        raise InputError(f"score_scales: the true flow must be a flow of sparsefit; got {flow!r}")
+        words = "score_scales: the true flow must be a flow of sparsefit"
+        raise InputError(f"{words}; got {shown(flow)}")
     scales: Sequence[Any] = estimate.scales if isinstance(estimate, Estimate) else estimate
     if isinstance(estimate, Estimate) and not scales and math.isfinite(estimate.length_scale):
         scales = (estimate,)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from sparsefit import backends
-from sparsefit.errors import InputError, number_setting, one_of
+from sparsefit.errors import InputError, number_setting, one_of, shown
 from sparsefit.estimator import saved
 from sparsefit.estimator.estimate import Doubt, Estimate, ScaleEstimate, Verdict
 from sparsefit.flight import Flight
@@ -48,7 +48,7 @@ class Estimator:
         for name, kind in (saved.RECORDS | {"backend": Backend}).items():
             if not isinstance(getattr(self, name), kind):
                 raise InputError(
-                    f"estimator: {name} must be a {kind.__name__}, not {getattr(self, name)!r}"
+                    f"estimator: {name} must be a {kind.__name__}, not {shown(getattr(self, name))}"
                 )
         number_setting("estimator", "tolerance", self.tolerance, low=0.0)
         on_grid = self.readout.refine == "none" or self.readout.mean_velocity == "paper"
@@ -59,7 +59,7 @@ class Estimator:
             )
         if self.free != "auto":
             if isinstance(self.free, str) or not isinstance(self.free, Sequence):
-                raise InputError(f'estimator: free must be "auto" or names, not {self.free!r}')
+                raise InputError(f'estimator: free must be "auto" or names, not {shown(self.free)}')
             from sparsefit.likelihood.causes import FREEDOMS
 
             for name in self.free:

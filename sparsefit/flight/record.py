@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sparsefit.arrays import Array, BoolArray, Brief, frozen
-from sparsefit.errors import InputError, integer, one_of, store
+from sparsefit.errors import InputError, integer, one_of, shown, store
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import FlowField, check_flow
 
@@ -99,7 +99,7 @@ class Flight(Brief):
             rate = np.gradient(self.position, self.time, axis=0)
             object.__setattr__(self, "velocity", frozen("velocity", rate, ("m", 2)))
         if not isinstance(self.vehicle, PointMassVehicle):
-            raise InputError(f"vehicle must be a PointMassVehicle; got {self.vehicle!r}")
+            raise InputError(f"vehicle must be a PointMassVehicle; got {shown(self.vehicle)}")
         _, quadratic, *others = self.vehicle.parameters
         laws = (self.vehicle.rate, quadratic)
         if max(laws) < 1.0 / LARGEST or max(map(abs, (*laws, *others))) > LARGEST:

@@ -72,7 +72,7 @@ def simulate_flight(
     """
     check_flow(flow)
     if not isinstance(vehicle, PointMassVehicle):
-        raise InputError(f"vehicle must be a PointMassVehicle; got {vehicle!r}")
+        raise InputError(f"vehicle must be a PointMassVehicle; got {type(vehicle).__name__}")
     if not (thrust is None or isinstance(thrust, ThrustSeries)):
         raise InputError(
             f"thrust must be a ThrustSeries(time, acceleration); got a {type(thrust).__name__}"

@@ -24,7 +24,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray, box
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, integer, is_number, one_of, positive
+from sparsefit.errors import InputError, integer, is_number, one_of, positive, shown
 
 Spacing = Literal["length-scale", "wavenumber", "flight"]
 Bounds = tuple[float, float]
@@ -83,7 +83,7 @@ class LengthScaleGrid:
         elif self.spacing == "wavenumber" and self.count is None:
             problem = "spacing 'wavenumber' needs count (the number of scales)"
         elif not is_number(self.fraction, 0.0, 1.0, open_low=True):
-            problem = f"fraction of the lobe must be in (0, 1], not {self.fraction!r}"
+            problem = f"fraction of the lobe must be in (0, 1], not {shown(self.fraction)}"
         elif self.spacing == "flight" and (self.step, self.count) != (None, None):
             problem = "spacing 'flight' takes fraction, not step or count"
         elif self.spacing != "flight" and self.size > MOST:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sparsefit.errors import InputError, finite, pair, positive
+from sparsefit.errors import InputError, finite, pair, positive, shown
 from sparsefit.estimator import Doubt, Estimate, Estimator
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
@@ -110,9 +110,9 @@ class OnlineEstimator:
         memory: float | None = None,
     ) -> None:
         if not isinstance(estimator, Estimator):
-            raise InputError(f"online: estimator must be an Estimator, not {estimator!r}")
+            raise InputError(f"online: estimator must be an Estimator, not {shown(estimator)}")
         if not isinstance(vehicle, PointMassVehicle):
-            raise InputError(f"online: vehicle must be a PointMassVehicle; got {vehicle!r}")
+            raise InputError(f"online: vehicle must be a PointMassVehicle; got {shown(vehicle)}")
         if reason := refusal(estimator):
             raise InputError(f"online: {reason}")
         self.estimator = estimator

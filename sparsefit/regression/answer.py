@@ -9,7 +9,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, Brief, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, is_real
+from sparsefit.errors import InputError, is_real, one_line, shown
 from sparsefit.regression.backend import Backend, PenalisedBackend
 from sparsefit.regression.certificate import Certificate
 from sparsefit.regression.problem import RegressionProblem
@@ -75,15 +75,16 @@ class Fit(Brief):
         if len(set(names)) == len(names) and not labels.keys().isdisjoint(names):
             if missing := [name for name in names if name not in labels]:
                 raise InputError(
-                    f"predict needs the column {missing[0]!r}, which theta does not have"
+                    f"predict needs the column {shown(missing[0])}, which theta does not have"
                 )
             theta = theta[[labels[name] for name in names]]
         values = getattr(theta, "to_numpy", lambda: theta)()
         is_sparse = hasattr(values, "tocsr")
         try:
             rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))
-        except (TypeError, ValueError) as error:
-            raise InputError(f"predict needs an array of real numbers: {error}") from None
+        except (TypeError, ValueError, OverflowError) as error:
+            words = one_line(str(error), 100)
+            raise InputError(f"predict needs an array of real numbers: {words}") from None
         if rows.shape[1] != self.problem.columns:
             raise InputError(f"predict needs {self.problem.columns} columns, not {rows.shape[1]}")
         out: Array = np.asarray(rows @ self.weights) + self.intercept

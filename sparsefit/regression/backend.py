@@ -27,6 +27,7 @@ from sparsefit.errors import (
     number_setting,
     one_line,
     one_of,
+    shown,
     unknown,
 )
 from sparsefit.regression.certificate import CertificateKind
@@ -150,7 +151,8 @@ class Checked:
             if item.name == "alpha_fraction":
                 checked_alpha_fraction(self.name, value, auto=kind is not float)
             elif kind is bool and not isinstance(value, bool):
-                raise InputError(f"{self.name}: {item.name} must be true or false, not {value!r}")
+                words = f"{self.name}: {item.name} must be true or false"
+                raise InputError(f"{words}, not {shown(value)}")
             elif get_origin(kind) is Literal:
                 one_of(f"{item.name} of {self.name}", value, get_args(kind))
             elif "least" in limits:

@@ -14,7 +14,7 @@ from typing import Any, get_args
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, number_setting
+from sparsefit.errors import InputError, number_setting, shown
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
     Backend,
@@ -74,7 +74,7 @@ def path(
     given = np.atleast_1d(np.array(alpha_fractions, dtype=object))
     if given.ndim != 1 or not given.size:
         words = "path needs a list of at least one alpha_fraction"
-        raise InputError(f"{words}, not {alpha_fractions!r}")
+        raise InputError(f"{words}, not {shown(alpha_fractions)}")
     for value in given.tolist():
         checked_alpha_fraction(backend.name, value)
     return _along(problem, backend, given.astype(float), tolerance)
@@ -130,7 +130,7 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
     if not isinstance(solution, Solution):
         raise InputError(f"{where} {type(solution).__name__}, not a Solution")
     if solution.status not in get_args(SolutionStatus):
-        raise InputError(f"{where} the unknown status {solution.status!r}")
+        raise InputError(f"{where} the unknown status {shown(solution.status)}")
     if solution.weights is None or solution.status == "error":
         return dataclasses.replace(solution, weights=None)
     try:
@@ -248,4 +248,4 @@ def _check(problem: Any, backend: Any, tolerance: Any) -> None:
     if isinstance(backend, type):
         raise InputError(f"fit needs a back-end, not its class: {backend.__name__}()")
     if not (hasattr(backend, "solve") and hasattr(backend, "certificate_kind")):
-        raise InputError(f"fit needs a back-end, not {backend!r}; see backends.get(name)")
+        raise InputError(f"fit needs a back-end, not {shown(backend)}; see backends.get(name)")

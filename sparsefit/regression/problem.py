@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from sparsefit.arrays import Array, BoolArray, Brief, IntArray, frozen
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, one_line, shown
 from sparsefit.regression.design import Design
 from sparsefit.regression.losses import SQUARES, Squares
 from sparsefit.regression.penalties import Penalty, alpha_max
@@ -141,7 +141,7 @@ class RegressionProblem(Brief):
             if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
                 raise InputError("subgroups must lie within groups: one of them spans two groups")
         if not np.isscalar(intercept) or intercept not in (True, False):
-            raise InputError(f"intercept must be true or false, not {intercept!r}")
+            raise InputError(f"intercept must be true or false, not {shown(intercept)}")
         weight, posed = None, dict[str, Any](target=values)
         if sample_weight is not None:
             weight = frozen("sample_weight", sample_weight, (len(values),))
@@ -359,11 +359,11 @@ def _matrix(values: ArrayLike, name: str) -> Array:
         if np.asarray(values).dtype.kind in "cmM":
             raise TypeError("complex numbers and times are none")
         array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         if name == "theta" and hasattr(values, "iloc"):  # names the first column without numbers
             for place, label in enumerate(getattr(values, "columns", ())):
-                _matrix(values.iloc[:, [place]], f"column {label!r}")
-        raise InputError(f"{name} must hold real numbers: {error}") from None
+                _matrix(values.iloc[:, [place]], f"column {shown(label)}")
+        raise InputError(f"{name} must hold real numbers: {one_line(str(error), 100)}") from None
     if array.ndim == 1 and name == "target":
         array = array[:, None]
     if array.ndim != 2:
@@ -422,4 +422,4 @@ def _refuse_unfit(
         columns = np.flatnonzero(bad)
         if len(columns):
             more = f" (and {len(columns) - 1} more)" if len(columns) > 1 else ""
-            raise InputError(f"column {names[columns[0]]!r}{more} {which}{reason}")
+            raise InputError(f"column {shown(names[columns[0]])}{more} {which}{reason}")

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError, integer, is_integer, one_of
+from sparsefit.errors import InputError, integer, is_integer, one_of, shown
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.rows.clean import LogPieces, Repairs, filtered, pieces_of
@@ -139,7 +139,7 @@ class Derivative:
         order = 4 if self.order is None else self.order
         if not is_integer(order, 1, window - 1):
             raise InputError(
-                f"order must be an integer from 1 to window - 1 = {window - 1}; got {order!r}"
+                f"order must be an integer from 1 to window - 1 = {window - 1}; got {shown(order)}"
             )
         object.__setattr__(self, "window", window)
         object.__setattr__(self, "order", order)
