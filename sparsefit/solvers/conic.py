@@ -13,7 +13,7 @@ Sources: Goulart and Chen, "Clarabel" (2024); Diamond and Boyd, J. Mach. Learn. 
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,6 +27,7 @@ from sparsefit.regression.penalties import BoundedValues, Penalty
 from sparsefit.regression.problem import compressed
 
 BATCH, ROUNDS = 50, 60  # columns that join at a time, cone programs at a penalty
+SECANTS, NEGLIGIBLE = 12, 1e-6  # penalties of squares that a root tries; |R|/|Y| of an exact fit
 MOST = 5000  # columns, at most, that are all in play: of a triangle and its factor
 
 
@@ -155,4 +156,37 @@ class Clarabel(Cvxpy):
                 in_play[joining] = True
                 if isinstance(penalty, GroupNorms | NestedNorms):  # whole blocks join
                     in_play |= np.isin(penalty.blocks, penalty.blocks[joining])
+            if isinstance(penalty.loss, RootSquares):
+                values[:] = self._by_squares(design, target, penalty, float(alpha), values, stop)
         return weights
+
+    def _by_squares(
+        self,
+        design: Design,
+        target: Array,
+        penalty: Penalty,
+        alpha: float,
+        values: Array,
+        stop: float,
+    ) -> Array:
+        """Weights (k, n) of the squares at the penalty t = alpha |R|/|Y| that their residual sets.
+
+        The gap of a root is linear in the error of its residual, that of squares quadratic. The
+        search for t begins at an interior point ``values`` (k, n), the answer where a fit is exact.
+        """
+        squares, size = replace(penalty, loss=SQUARES), float(np.linalg.norm(target)) or 1.0
+        start, xs, excesses = values, list[float](), list[float]()
+        for _ in range(SECANTS):
+            wanted = (alpha / size * float(np.linalg.norm(target - design.predict(values)))) ** 2
+            if xs:
+                excesses.append(xs[-1] - wanted)
+            if len(xs) > 1 and excesses[-1] != excesses[-2]:  # |R|^2 is linear in t^2 by pieces
+                slope = (xs[-1] - xs[-2]) / (excesses[-1] - excesses[-2])
+                wanted = max(xs[-1] - slope * excesses[-1], 0.1 * wanted)
+            if not wanted > (NEGLIGIBLE * alpha) ** 2:
+                return start
+            if xs and abs(wanted / xs[-1] - 1.0) < 1e-12:
+                break
+            xs.append(wanted)
+            values = self.path(design, target, squares, np.sqrt(xs[-1:]), stop)[0]
+        return values
