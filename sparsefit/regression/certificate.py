@@ -258,17 +258,19 @@ def _gaps(
         whole = float(np.minimum(null, 0.5 * level**2).sum())
     doubt, whole = doubt + gamma * primal, whole or 1.0
     full = point.with_ridge(scaled, alphas, penalty) if penalty.ridge else point
-    certificates = []
-    for i, (dual, least) in enumerate(zip(*full.bounds(alphas, penalty, level), strict=True)):
-        if isinstance(loss, RootSquares) and primal[i] - least > SMALL * whole:
+    dual, least = full.bounds(alphas, penalty, level)
+    if isinstance(loss, RootSquares):
+        for i in np.flatnonzero(primal - least > SMALL * whole).tolist():
             for other in of_signs(design, target, scaled[i], gamma):
-                pair = [float(part[0]) for part in other.bounds(alphas[i : i + 1], penalty, level)]
-                dual, least = max((dual, least), pair, key=lambda pair: pair[1])
-        gap = abs(float(primal[i] - dual)) / whole  # D above P: the penalty's parts are at odds
-        most = float(primal[i] - least + doubt[i]) / whole * (1.0 + 2.0 * gamma)
-        bounds = float(primal[i]), float(dual), max(most - gap, 0.0)
-        certificates.append(Certificate("duality_gap", gap, *bounds))
-    return certificates
+                ((value, bound),) = zip(*other.bounds(alphas[[i]], penalty, level), strict=True)
+                if bound > least[i]:
+                    dual[i], least[i] = value, bound
+    gap = np.abs(primal - dual) / whole  # D above P: the penalty's parts are at odds
+    most = (primal - least + doubt) / whole * (1.0 + 2.0 * gamma)
+    with np.errstate(invalid="ignore"):  # of weights beyond their bounds, P is infinite
+        parts = gap, primal, dual, np.maximum(most - gap, 0.0)
+    rows = zip(*(part.tolist() for part in parts), strict=True)
+    return [Certificate("duality_gap", *row) for row in rows]
 
 
 def _clipped(

@@ -5,9 +5,9 @@ from the data and the weights, and determines the status whatever the back-end r
 another package is trusted, but what it returns is validated.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from time import perf_counter
 from typing import Any, get_args
 
@@ -18,6 +18,7 @@ from sparsefit.errors import InputError, number_setting, shown
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
     Backend,
+    Checked,
     PathBackend,
     PenalisedBackend,
     Solution,
@@ -53,7 +54,7 @@ def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLE
         whole = _along(problem, backend, np.array(FRACTIONS), tolerance)
         index, criterion = choose_penalty(problem, backend, whole.weights)
         seconds = perf_counter() - start
-        return dataclasses.replace(whole.fits[index], seconds=seconds, criterion=criterion)
+        return replace(whole.fits[index], seconds=seconds, criterion=criterion)
     wanted = np.empty(0)
     if isinstance(backend, PenalisedBackend):
         wanted = np.array([numeric_fraction(backend.name, backend.alpha_fraction)])
@@ -81,8 +82,13 @@ def path(
 
 
 def points_of(backend: Any, fractions: Sequence[float]) -> list[Any]:
-    """The back-end at each penalty fraction; itself where there are none."""
-    return [dataclasses.replace(backend, alpha_fraction=each) for each in fractions] or [backend]
+    """The back-end at each penalty fraction in (0, 1]; itself where there are none."""
+    if not isinstance(backend, Checked):
+        return [replace(backend, alpha_fraction=each) for each in fractions] or [backend]
+    points = [object.__new__(type(backend)) for _ in fractions]
+    for point, fraction in zip(points, fractions, strict=True):
+        vars(point).update(vars(backend), alpha_fraction=fraction)  # the rest was checked
+    return points or [backend]
 
 
 def solutions_of(
@@ -92,7 +98,7 @@ def solutions_of(
 
     Without fractions: its one answer by its own settings.
     """
-    if fractions and isinstance(backend, PathBackend):
+    if fractions and hasattr(backend, "solve_path"):
         return list(backend.solve_path(problem, tuple(fractions)))
     return [point.solve(problem) for point in points_of(backend, fractions)]
 
@@ -132,7 +138,7 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
     if solution.status not in get_args(SolutionStatus):
         raise InputError(f"{where} the unknown status {shown(solution.status)}")
     if solution.weights is None or solution.status == "error":
-        return dataclasses.replace(solution, weights=None)
+        return replace(solution, weights=None)
     try:
         weights = np.asarray(solution.weights, dtype=np.float64)
     except (TypeError, ValueError):
@@ -140,7 +146,7 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
     if weights.shape != (right := (problem.columns, problem.targets)):
         raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
     same = weights is solution.weights
-    return solution if same else dataclasses.replace(solution, weights=weights)
+    return solution if same else replace(solution, weights=weights)
 
 
 def certificates_of(
@@ -237,7 +243,7 @@ def _judged(
     better = slow.certificate is not None and slow.certificate.value < least
     best = slow if better or certificate is None else fast
     seconds = fast.seconds + slow.seconds
-    return dataclasses.replace(best, backend=backend, seconds=seconds, repaired=better)
+    return replace(best, backend=backend, seconds=seconds, repaired=better)
 
 
 def _check(problem: Any, backend: Any, tolerance: Any) -> None:
