@@ -135,7 +135,7 @@ class RegressionProblem(Brief):
         listed = isinstance(named, Iterable) and not isinstance(named, str)
         if not listed or len(labels := tuple(map(str, named))) != columns:
             raise InputError(f"names must be a list with one name per column, {columns} of them")
-        numbers = _numbers(np.arange(columns) if groups is None else groups, labels, "groups")
+        numbers = np.arange(columns) if groups is None else _numbers(groups, labels, "groups")
         if subgroups is not None:
             inner = _numbers(subgroups, labels, "subgroups")
             if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
