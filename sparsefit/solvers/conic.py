@@ -185,7 +185,7 @@ class Clarabel(Cvxpy):
                 wanted = max(xs[-1] - slope * excesses[-1], 0.1 * wanted)
             if not wanted > (NEGLIGIBLE * alpha) ** 2:
                 return start
-            if xs and abs(wanted / xs[-1] - 1.0) < 1e-12:
+            if xs and abs(wanted / xs[-1] - 1.0) < 1e-10:
                 break
             xs.append(wanted)
             values = self.path(design, target, squares, np.sqrt(xs[-1:]), stop)[0]
