@@ -87,15 +87,10 @@ class Suspect:
     share: float  #: 2 ln(likelihood ratio) of the cause against none
     free: str = ""  #: the name under which it is freed
     flight: int = 0  #: of several flights the number of the one concerned, from 1; else 0
-    also: str = ""  #: the name of a second cause to be freed with it, if any
 
     @property
     def remedy(self) -> str:
         """The names to free, as words."""
-        if self.also:
-            return (
-                f'give the vehicle its own law, or free it: free = ["{self.also}", "{self.free}"]'
-            )
         return f'free it: free = ["{self.free}"] (--free {self.free}), or free = "auto"'
 
     @property

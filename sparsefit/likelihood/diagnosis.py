@@ -25,7 +25,7 @@ from sparsefit.arrays import Array
 from sparsefit.errors import InputError
 from sparsefit.likelihood.causes import BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
 from sparsefit.likelihood.gains import Gain, chance_of, gains_of, groups_of
-from sparsefit.likelihood.model import LEVELS, SLOWEST, Model, Process
+from sparsefit.likelihood.model import LEVELS, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, measure
@@ -35,7 +35,6 @@ FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all g
 FITTED = 3  # groups of the largest gains that are fitted for good
 ROUNDS = 4  # departures that are freed one after another, at most
 CLEAR = 8.0  # times a second-order gain: a fit that gained more ends the search
-CALMER = 0.5  # the least gain of a cause beside a process, over that of the process
 TUNED = 3.0  # the factor between the rates of a process that are tried
 DEGREES, MOST_PARTS = 5.0, 64  # of freedom of a part with gusts of its own level; of parts
 FLATTEST = 1e-4  # the least variance of a component of gusts, over that of the other
@@ -143,11 +142,8 @@ def diagnose(
         return attempt[1].log_likelihood - 2.0 * attempt[0].freedom
 
     def eligible(attempt: tuple[Trial, Posterior]) -> bool:
-        """Whether a cause explains enough beside the processes that are believed."""
-        enough = 2.0 * posterior.log_likelihood + CALMER * wandering
-        trial, own = attempt
-        calmer = own.converged and 2.0 * own.log_likelihood > enough
-        return calmer or not (trial.suspicious and wandering)
+        """Whether a cause that is tested beside a process has converged."""
+        return attempt[1].converged or not (attempt[0].suspicious and wandering)
 
     for _ in range(0 if posterior.exact else ROUNDS):
         start = posterior
@@ -169,11 +165,13 @@ def diagnose(
                 most = max(map(merit, fits), default=-math.inf)
                 needed = max(needed, 2.0 * (most - start.log_likelihood) / CLEAR)
         if likely and _releveled(start, likely[0][2].gain) > needed:
-            least = max(needed, CALMER * wandering)
             attempt([
-                _freed(start.models, FREEDOMS[name], name, flight, gain)
+                Trial(
+                    tuple(own.free(*FREEDOMS[name].elements) for own in start.models),
+                    len(FREEDOMS[name].elements), FREEDOMS[name], name, flight,
+                )
                 for name, flight, gain in likely
-                if name in FREEDOMS and _releveled(start, gain.gain) > least
+                if name in FREEDOMS and _releveled(start, gain.gain) > needed
             ][:FITTED])  # fmt: skip
             for name in dict.fromkeys(name for name, _, _ in likely if name in SHAPES):
                 attempt(freer(start.models, name, answers=shapes))
@@ -181,6 +179,7 @@ def diagnose(
             break
         best, there = max(candidates, key=merit)
         gain_of_it = 2.0 * (there.log_likelihood - start.log_likelihood)
+        gain_of_it /= start.inflation if best.suspicious else 1.0
         chance = min(1.0, tests * chance_of(gain_of_it, best.freedom))
         if not chance < FALSE_ALARM:
             break
@@ -209,15 +208,12 @@ def diagnose(
         grown = gains if posterior is start else gains_of(posterior, {"growth": ("growth",)})
         growth = float(grown["growth", 0].step[0]), float(grown["growth", 0].error[0])
     shares = _ambiguity(posterior, believed, rivals) if suspects else (0.0, 0.0)
-    walks = [own.name for own in posterior.model.disturbance.processes]
-    if posterior is start and not walks:  # gains of the last round, in which nothing was found
+    if posterior is start:  # gains of the last round, in which nothing was found
         hints = [
             own.moves for own in gains.values()
             if FALSE_ALARM <= tests * chance_of(own.gain, len(own.step)) < HINT
         ]  # fmt: skip
         shares = tuple(np.max([shares, *np.abs(hints).tolist()], axis=0).tolist())
-    if "turbulence" in walks and not suspects and "turbulence" not in freed:
-        suspects = _another_law(posterior)
     return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
 
 
@@ -279,17 +275,6 @@ def _pass(start: Posterior, models: Sequence[Model]) -> Step:
     return Step.of([leg.with_model(model) for leg, model in pairs], keep=False)
 
 
-def _freed(models: Sequence[Model], cause: Cause, name: str, flight: int, gain: Gain) -> Trial:
-    """The trial of a cause, its elements moved by the step of the score test."""
-    moved = []
-    for number, model in enumerate(models, 1):
-        steps = zip(cause.elements, gain.step.tolist(), strict=True)
-        values = {own: model.values[own] + step for own, step in steps}
-        freer_model = model.free(*cause.elements)
-        moved.append(freer_model.at(values) if flight in (0, number) else freer_model)
-    return Trial(tuple(moved), len(cause.elements), cause, name, flight)
-
-
 def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
     """The posterior of the first simpler shape of two waves that has a lower BIC, if one has."""
     pattern, cells = posterior.model.pattern, TWO_WAVES
@@ -304,29 +289,6 @@ def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
             if there is not None and there.bic < posterior.bic:
                 return there
     return posterior
-
-
-def _another_law(posterior: Posterior) -> list[Suspect]:
-    """Another law of drag, where it explains more of a flight in turbulence than the process does.
-
-    A first-order process is rougher than air, and a response time filters it: the gain of the drag
-    counts beside a free response time, and over the mean score of neighbouring waves.
-    """
-    laws, quadratic = list[Suspect](), posterior.value("response_time") >= SLOWEST
-    law = {"response_time": "response_time", "quadratic_drag": "drag"}
-    known = tuple(name for name in law if name not in posterior.names)
-    if not known or (quadratic and "quadratic_drag" in posterior.names):
-        return laws
-    gains = gains_of(posterior, {"filter": known[:-1], "law": known})
-    for (name, flight), own in gains.items():
-        if name == "law":
-            base = gains["filter", flight].gain if known[:-1] else 0.0
-            gain, free = (own.gain - base) / posterior.inflation, law[known[-1]]
-            also = "response_time" if free != "response_time" else "drag"
-            if (chance := chance_of(gain, 1)) < FALSE_ALARM:
-                words = FREEDOMS[free].name, (float(own.step[-1]),), chance, gain, free
-                laws.append(Suspect(*words, flight, also))
-    return sorted(laws, key=lambda own: -own.share)
 
 
 def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ SEEN = 1e-9  # the least eigenvalue of the scaled information of an observable d
 class Gain:
     """The gain of freeing g elements, to second order, all free parameters re-estimated."""
 
-    gain: float  # 2 ln(likelihood ratio)
+    gain: float  # 2 ln(likelihood ratio), over the posterior's inflation
     step: Array  # of the elements (g,)
     error: Array  # their standard errors (g,)
     moves: tuple[float, float] = (0.0, 0.0)  # relative changes of U0 and L by the step
@@ -80,8 +81,12 @@ def gains_of(
             values = zip(pattern.names, pattern.values, strict=True)
             there = tuple(value + NUDGE * ahead.get(name, 0.0) for name, value in values)
             speed, length = pattern.apart(replace(pattern, values=there))
+            widening = 1.0 if group in SHAPES else posterior.inflation  # shapes have a BIC
             gains[group, own_flight] = Gain(
-                float(np.sum(along_axes**2 / roots)), step, error, (speed / NUDGE, length / NUDGE)
+                float(np.sum(along_axes**2 / roots)) / widening,
+                step,
+                error * math.sqrt(widening),
+                (speed / NUDGE, length / NUDGE),
             )
     return gains
 

@@ -70,6 +70,10 @@ ELEMENTS: dict[str, float] = {
     "position_bias_y": 0.0,
 }
 """The elements in the order of the passes, with their defaults; those of the waves follow."""
+SHAPING = (
+    "response_time", "quadratic_drag", "mass_rate", "lag", "position_scale", "velocity_scale",
+)  # fmt: skip
+"""Elements of F and H, on which the variance of the innovations depends."""
 OWN = len(ELEMENTS)
 SMALL = 1e-30  # the complex step
 

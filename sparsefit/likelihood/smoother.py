@@ -70,9 +70,12 @@ class Step:
             places.append([every.index(name) for name in local])
         passes = tuple(leg.forward(own, keep=keep) for leg in legs)
         score, information = np.zeros(len(every)), np.zeros((len(every), len(every)))
-        for each, place in zip(passes, places, strict=True):
+        for leg, each, place in zip(legs, passes, places, strict=True):
             score[place] += each.score[:p]
             information[np.ix_(place, place)] += each.information[:p, :p]
+            for number, slope, bend in leg.corrections(own, each):
+                score[place[number]] += slope
+                information[place[number], place[number]] += bend
         covariance, blind = inverted(information)
         unseen = tuple(every[j] for j in blind)
         return cls(passes, tuple(every), places, score, information, covariance, unseen)

@@ -7,7 +7,8 @@ and every block but the last is filtered once more in the backward pass.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed
-from sparsefit.likelihood.reference import StateSpace, width
+from sparsefit.likelihood.reference import SHAPING, StateSpace, width
 
 passes: Any
 try:
@@ -106,6 +107,27 @@ class Leg:
             )
         value = -0.5 * (float(sums[0, 0]) + total)
         return Pass(self, space, value, -sums[1:, 0], sums[1:, 1:], starts, stored, block)
+
+    def corrections(self, names: Sequence[str], own: Pass) -> Iterator[tuple[int, float, float]]:
+        """Corrections of b and J by the elements that shape the innovations' variance S.
+
+        b = sum G'e/S is the derivative of log L at a constant S. What wanders reaches the log
+        through vehicle and instruments, so that S depends on their elements, too: the values of
+        two passes beside the own one give the derivatives of log L itself.
+
+        Yields:
+            The place of an element among names, the correction of b and that of J, 0 or more.
+        """
+        shaping = SHAPING if self.model.disturbance.processes else ()
+        for place in (place for place, name in enumerate(names) if name in shaping):
+            name, curvature = names[place], float(own.information[place, place])
+            step = 1.0 / math.sqrt(curvature) if curvature > 0.0 else math.nan
+            beside = (self.model.values[name] + step, self.model.values[name] - step)
+            models = (self.model.at({name: value}) for value in beside)
+            up, down = (self.with_model(each).forward((), keep=False).value for each in models)
+            slope, bend = 0.5 * (up - down) / step, (2.0 * own.value - up - down) / step**2
+            if math.isfinite(slope) and math.isfinite(bend):
+                yield place, slope - float(own.score[place]), max(bend - curvature, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,14 @@ import sparsefit as sf
 from sparsefit.likelihood import diagnosis as room
 from sparsefit.likelihood.causes import FREEDOMS, Suspect
 from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
-from sparsefit.likelihood.gains import Gain, gains_of
+from sparsefit.likelihood.gains import gains_of
 from sparsefit.likelihood.goodness import Constancy, _disturbances
 from sparsefit.likelihood.model import Disturbance, Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import whiteness
 from tests.problems import fly
+from tests.worlds import GROUPS, draw
 
 FLOW = sf.CellularFlow(10.0, 4.0)
 TAU = 0.4
@@ -260,28 +261,18 @@ def test_a_swell_of_several_flights_is_that_of_the_flight_where_it_is_largest():
     assert "by 20 % rms" in suspect.words
 
 
-def test_another_law_of_drag_gains_beside_the_response_time(monkeypatch):
-    """Of a gain of 90, 30 are of the response time; waves around gain three times their share."""
-    asked = []
-
-    def gains(_posterior, groups):
-        asked.append(groups)
-        steps = {name: np.array([0.1, 0.02])[-len(own) :] for name, own in groups.items() if own}
-        return {(name, 0): Gain(90.0 if name == "law" else 30.0, own, own)
-                for name, own in steps.items()}  # fmt: skip
-
-    def laws(tau, *names):
-        own = {"response_time": tau}
-        return room._another_law(SimpleNamespace(names=names, value=own.get, inflation=3.0))
-
-    monkeypatch.setattr(room, "gains_of", gains)
-    (law,) = laws(0.3)
-    assert (law.free, law.size, law.share) == ("drag", (0.02,), 20.0)
-    (law,) = laws(0.3, "quadratic_drag")
-    assert (law.free, law.share) == ("response_time", 30.0)
-    assert laws(0.3, "quadratic_drag", "response_time") == []
-    assert laws(room.SLOWEST, "quadratic_drag") == []
-    assert len(asked) == 2
+@pytest.mark.parametrize(("kind", "off"), [(0, 1.0), (1, 1.0), (2, 1.2), (3, 1.2)])
+def test_a_response_time_is_told_from_gusts_that_it_filters(kind, off):
+    """A score at a constant variance of the innovations takes a fifth off a right one."""
+    world = replace(GROUPS["turbulence10"][kind], body={"tau": off})
+    ((flight, truth),) = draw(world, 1, 95004)
+    estimator = sf.Estimator(readout=sf.Readout(precision=0.3))
+    suspect = estimator.estimate(flight).goodness.suspect
+    assert (suspect and suspect.cause) == ("response-time" if off > 1.0 else None)
+    freed = replace(estimator, free=("response_time",)).estimate(flight)
+    assert freed.status == "ok"
+    assert freed.response_time == pytest.approx(off * flight.vehicle.response_time, rel=0.06)
+    assert abs(freed.mean_velocity - truth.mean_velocity) < 3 * freed.uncertainty.mean_velocity
 
 
 def test_what_is_ambiguous_is_worked_by_hand():
