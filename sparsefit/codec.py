@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import types
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
@@ -63,7 +63,7 @@ def build(kind: type[Record], values: Mapping[str, object], place: Place) -> Rec
     return made(kind, fitted, place)
 
 
-def made(kind: type[Record], values: Mapping[str, Any], place: Place) -> Record:
+def made(kind: Callable[..., Record], values: Mapping[str, Any], place: Place) -> Record:
     """``kind(**values)``, its refusal preceded by the place."""
     try:
         return kind(**values)

@@ -73,6 +73,13 @@ class Recipe:
     start: float = math.inf
 
     @property
+    def offered(self) -> tuple[str, ...]:
+        """Names of the solvers among which its own is: of its file, or of packages."""
+        if self.file and not self.command:
+            return tuple(_classes_of(str(Path(self.file).resolve())))
+        return solver_names()
+
+    @property
     def owner(self) -> Any:
         """The class of the solver. Raises InputError without one."""
         if self.command:

@@ -36,8 +36,8 @@ from numpy.typing import NDArray
 
 from sparsefit import Estimator, RegressionProblem, backends
 from sparsefit.arrays import BoolArray
-from sparsefit.codec import Place, build, integer, only
-from sparsefit.errors import InputError, MissingExtra, SparsefitError
+from sparsefit.codec import Place, build, integer, made, only
+from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_of
 from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import REFEREE, Recipe, solver_names
@@ -251,23 +251,25 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     name = series = keys.name or str(entry[kind])
     folder, beside = Path(place.file).parent, None
     more = [*keys.target, *["intercept"] * keys.intercept] or None
-    made: list[tuple[Callable[[], data_sets.Data], Any]]  # arrays, and what determines them
+    arrays: list[tuple[Callable[[], data_sets.Data], Any]]  # and what determines them
     if kind == "file":
         schema.distinct(keys.target or ("",), place.at("target"))
         path = folder / keys.file
-        name, data = keys.name or path.stem, data_sets.read_data(path, keys.target)
-        made = [(lambda: data, digest_of(path))]
+        given: dict[str, Any] = {"path": path, "target": keys.target}
+        data = made(data_sets.read_data, given, place.at("file"))
+        name, arrays = keys.name or path.stem, [(lambda: data, digest_of(path))]
         if keys.test:
             path = folder / keys.test
-            data = replace(data, test=data_sets.read_data(path, keys.target, data))
+            given |= {"path": path, "like": data}
+            data = replace(data, test=made(data_sets.read_data, given, place.at("test")))
             beside = digest_of(path)
     elif kind == "dataset":
-        made = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
+        arrays = [(partial(data_sets.read_public, str(keys.dataset)), keys.dataset)]
     elif kind == "generator":
         rules = build(Generator, {**data_sets.GENERATORS[str(keys.generator)], **rest}, place)
-        made = [(partial(data_sets.drawn, rules, stream(seed, number, 301)),
-                 [keys.generator, asdict(rules), number])
-                for number in range(keys.count)]  # fmt: skip
+        arrays = [(partial(data_sets.drawn, rules, stream(seed, number, 301)),
+                   [keys.generator, asdict(rules), number])
+                  for number in range(keys.count)]  # fmt: skip
     else:
         if not keys.name:
             raise place.at("name").error("missing: a flight has no other name")
@@ -276,10 +278,10 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
                     for part in ("flights", "derivative", "library")}  # fmt: skip
         count = integer(sections["flights"].pop("count", 1), place.at("count"), least=1)
         setup, content = crossing.read_setup(sections, within), {**sections, "readout": {}}
-        made = [(partial(_flown, setup, number, count, seed), [content, number, count, seed])
-                for number in range(count)]  # fmt: skip
-    for number, (make, identity) in enumerate(made, 1):
-        numbered_name = f"{name} {number}" if len(made) > 1 else name
+        arrays = [(partial(_flown, setup, number, count, seed), [content, number, count, seed])
+                  for number in range(count)]  # fmt: skip
+    for number, (make, identity) in enumerate(arrays, 1):
+        numbered_name = f"{name} {number}" if len(arrays) > 1 else name
         for alter in keys.alter:
             own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
             whole = canonical_json([identity, more, beside, alter, seed])
@@ -369,8 +371,8 @@ def about_contenders(listed: Sequence[Contender], names: Sequence[str]) -> list[
     """Of each contender the fields of it that follow from its code, and of its solver:
 
     solver: the name of the back-end's own, empty where the recipe's counts; exact: whether that is
-    an exact path of sparsefit; stops: whether at a tolerance. Raises InputError of one that is
-    none, with the names of those that the study has where it is of another.
+    an exact path of sparsefit; stops: whether at a tolerance. names: of the study's own solvers.
+    Raises InputError of one that is none.
     """
     problem, content = small_problem(), []
     for contender in listed:
@@ -395,6 +397,8 @@ def about_contenders(listed: Sequence[Contender], names: Sequence[str]) -> list[
             elif not exact:
                 raise InputError(f'{name} has no penalty, so "{recipe.name}" is none of its own')
             else:
+                if not recipe.command:
+                    one_of("solver", recipe.name, dict.fromkeys((exact, *names, *recipe.offered)))
                 own = f"{recipe.name}{dict(recipe.settings) or ''}"
                 about |= {"stops": recipe.declared("stops"), "missing": recipe.missing}
                 about["compiles"] |= recipe.declared("compiles")
@@ -405,7 +409,5 @@ def about_contenders(listed: Sequence[Contender], names: Sequence[str]) -> list[
         except MissingExtra as error:
             about |= {"solver": name, "missing": str(error).removeprefix(f"{name}: ")}
         except (SparsefitError, TypeError, ValueError) as error:
-            known = recipe is None or recipe.file or recipe.name in names
-            hint = "" if known else f"; beside there are {', '.join(names)}"
-            raise InputError(f"{error}{hint}") from None
+            raise InputError(str(error)) from None
     return content

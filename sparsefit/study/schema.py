@@ -154,7 +154,7 @@ def key(sentence: str, default: Any = MISSING, range: Range = ANY, unit: str = "
 
     def check(value: object, place: Place) -> None:
         for item in items(value, place):
-            if isinstance(item, int | float):
+            if isinstance(item, int | float) and range.words:  # of others its type is what counts
                 range.check(item, place, unit)
 
     content = {"default_factory" if callable(default) else "default": default}

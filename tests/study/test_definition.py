@@ -188,7 +188,7 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("case_timeout = 30.0", "case_timeout = 0", "case_timeout\" must be above 0 [s], not 0"),
         ("tolerance = 1e-6", "tolerance = 1.0", "must be above 0 and below 1, not 1"),
         ("[run]", "[run]\nmax_memory = 1", "at least 256 [MB]"),
-        ("[run]", "[outputs]\ntables = [3]\n[run]", "[outputs]"),
+        ("[run]", "[outputs]\ntables = nan\n[run]", "[outputs] tables and figures are names"),
         ("[run]", "[outputs]\ntables = []\n[run]", "must not be an empty list"),
         ("[run]", '[outputs.reference]\nname = "x"\ndeviation = [1]\n[run]', "must be 3 values"),
         ("[run]", '[outputs]\nscript = "no.py"\n[run]', "no such file beside x.toml"),

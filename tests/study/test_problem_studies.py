@@ -238,7 +238,7 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
         (keys, 'needs target = "COLUMN"'),
         (f'{keys}target = "draf"\n', 'has no column "draf": did you mean "drag"?'),
         (f'{keys}target = "a"\n'.replace("later", "none"), "No such file"),
-        ('file = "x.xlsx"\ntarget = "a"\n', 'unknown file type ".xlsx"'),
+        (f'{keys}target = "drag"\n'.replace("later.p", "x."), 'key "test" unknown file type'),
     ):
         assert said in refusal(tmp_path, f"{PROBLEMS}{lasso}[[problems]]\n{words}")
     assert 'says kind = "problems"' in refusal(tmp_path, entry.replace("kind", "#"))
@@ -337,7 +337,7 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\nfil = "no.npz"\n', 'did you mean "file"?'),
         (f'{CORRELATED}[[solvers]]\nname = "mine"\n', "is of no package: give its file"),
         (f"{CORRELATED}[select]\nmax_error = 1.0\n", "max_error is for flights"),
-        ('[[problems]]\nfile = "x.bin"\n', 'unknown file type ".bin"'),
+        ('[[problems]]\nfile = "x.bin"\n', '[problems] key "file" unknown file type ".bin"'),
         ('[[problems]]\ndataset = "iris"\nalter = "as it was"\n', 'did you mean "as it is"?'),
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
         ("[[problems]]\n", "flights, file, dataset, generator; entry 1 has none"),
@@ -353,7 +353,7 @@ def test_what_is_no_problem_is_refused_by_key(tmp_path, text, said):
     [
         ('name = "lasso"\nsolver = "celr"', 'did you mean "celer"?'),
         ('name = "lasso"\n[[solvers]]\nfile = "deeds.py"', "one file without a name"),
-        ('name = "laso"', 'did you mean "lasso"?'),
+        ('name = "lasso"\nsolver = "homotpy"', 'did you mean "homotopy"? (known: homotopy, exa'),
         ('name = "least-squares"\nsolver = "clarabel"', "has no penalty"),
         ('name = "lasso"\nalpha_fraction = 0.1', "[path] sets the penalties"),
         ('name = "lasso"\nsolver = ["homotopy", "homotopy"]', "twice"),
