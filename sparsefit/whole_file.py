@@ -17,7 +17,9 @@ from sparsefit.errors import InputError
 
 REMEDIES = {  # by the number of an OSError; of others the path is to be checked
     **dict.fromkeys((errno.ENOSPC, errno.EDQUOT), "make room, or choose another folder"),
-    **dict.fromkeys((errno.EACCES, errno.EPERM), "change its permissions, or choose another"),
+    **dict.fromkeys(
+        (errno.EACCES, errno.EPERM, errno.EROFS), "change its permissions, or choose another"
+    ),
     errno.ENAMETOOLONG: "choose a shorter name",
     errno.EISDIR: "choose another name",
 }

@@ -29,7 +29,7 @@ from queue import Empty, SimpleQueue
 from threading import Event, Lock
 from typing import Any, NamedTuple, TypeAlias
 
-from sparsefit.errors import InputError, described, is_integer, optional, told_with
+from sparsefit.errors import InputError, described, is_integer, optional
 from sparsefit.study.columns import Outcome
 from sparsefit.study.plan import Batch, Plan
 from sparsefit.study.store import CASES, MANIFEST, STORE, Row, Store, check_whole, discard
@@ -300,8 +300,7 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
             check_whole(part / CASES, strict=True)
         elif not (part / STORE).is_file():
             raise InputError(f"{part}: holds no rows of {name}: give a results folder of the study")
-        with told_with(part):
-            stored[part] = Store.read(part, plan).rows()
+        stored[part] = Store.read(part, plan).rows()
     with locked(folder):
         rows = {row.case_id: (folder, row) for row in Store.read(folder, plan).rows()}
         for part, theirs in stored.items():

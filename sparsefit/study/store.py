@@ -19,6 +19,7 @@ import json
 import math
 import os
 import platform
+import re
 import sqlite3
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,7 +36,16 @@ from numpy.typing import NDArray
 
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, is_real
-from sparsefit.study.columns import FAILED, PARAMETERS, STATUSES, Outcome, body_of, kinds_of
+from sparsefit.study.columns import (
+    FAILED,
+    FLIGHT_COLUMNS,
+    PARAMETERS,
+    PROBLEM_COLUMNS,
+    STATUSES,
+    Outcome,
+    body_of,
+    kinds_of,
+)
 from sparsefit.study.plan import Plan, versions
 from sparsefit.study.schema import digest_of
 from sparsefit.whole_file import read_whole, refusing, whole_file, write_whole
@@ -336,17 +346,26 @@ def parquet(path: Path) -> Iterator[Any]:
             if facts.num_rows > 2_000_000 or size > 1000 * (path.stat().st_size + 1_000_000):
                 words = f"{facts.num_rows} rows of {size} bytes"
                 raise InputError(f"{path}: {words}: it is another file")
-            of_text = {name for name in schema.names if "string" in str(schema.field(name).type)}
-            if missing := sorted({"case_id", "backend", "settings", *ENDED} - of_text):
-                raise InputError(
-                    f'{path}: no cases of a study, without a column "{missing[0]}" of text: take '
-                    "the file from where it came, or run the study with --fresh"
-                )
+            there = [(column.name, _content(str(column.type))) for column in schema]
+            needed = {"case_id", "backend", "settings", *ENDED}
+            for name, kind in kinds_of((*PROBLEM_COLUMNS, *FLIGHT_COLUMNS)).items():
+                own = [content for other, content in there if other == name]
+                if own != [_content(kind.arrow)] and (own or name in needed):
+                    words = f'without one column "{name}" of {_content(kind.arrow)}'
+                    remedy = "take it from where it came, or run the study with --fresh"
+                    raise InputError(f"{path}: no cases of a study, {words}: {remedy}")
             yield file
     except (OSError, pa.ArrowException, ValueError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: not readable ({error}): run the study with --fresh") from None
+
+
+def _content(arrow: str) -> str:
+    """`text` or `numbers`, as columns of an Arrow type hold, or the type."""
+    if re.match(r"(large_)?string|dictionary<values=string", arrow):
+        return "text"
+    return "numbers" if re.match("u?int|float|double|halffloat", arrow) else arrow
 
 
 def read_cases(folder: str | Path) -> pd.DataFrame:

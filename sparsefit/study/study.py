@@ -333,8 +333,7 @@ class Study:
             if progress:
                 progress(done, len(trials), None)
             latencies[name] = measured(self.flights, self.cells_of(name), flights)
-        if trials:
-            write_latencies(self.hash, self.folder, latencies)
+            write_latencies(self.hash, self.folder, latencies)  # an interrupt loses one at most
         return {name: latencies[name] for name in candidates}
 
     def select(self, **rule: Any) -> Any:

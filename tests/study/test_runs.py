@@ -290,29 +290,29 @@ def test_two_runs_at_once_and_wrong_requests_are_refused(whole):
 
 
 def test_parts_are_merged_and_no_part_is_believed_without_its_checksum(whole, tmp_path):
-    full = whole[0]
     parts = []
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         part = changed(whole, tmp_path / name, WHOLE)
         attacks.unpack(part)
-        with Store.opened(part.folder, part.planned) as store:
-            drop = "0000-%" if name == "a" else "0002-%"
-            with store.base:
-                store.base.execute("DELETE FROM cases WHERE case_id LIKE ?", (drop,))
+        with Store.opened(part.folder, part.planned) as store, store.base:
+            flight = "0000" if name == "a" else "0002"
+            store.base.execute(f"DELETE FROM cases WHERE case_id LIKE '{flight}-%'")
         parts.append(part)
     target = load(tmp_path, WHOLE)
     merged = target.merge([part.folder for part in parts])
     assert [part.taken for part in merged] == [12, 6]
-    pd.testing.assert_frame_equal(stable(target.folder), stable(full.folder))
+    pd.testing.assert_frame_equal(stable(target.folder), stable(whole[0].folder))
     (full_copy := tmp_path / "c").mkdir()
     bare = changed(whole, full_copy, WHOLE)
     (bare.folder / "manifest.json").unlink()
     with pytest.raises(InputError, match="no checksum of it stands"):
         target.merge([bare.folder])
+    read_cases(bare.folder).assign(flow=1).to_parquet(bare.folder / CASES)
+    with pytest.raises(InputError, match='without one column "flow" of text'):
+        read_cases(bare.folder)
     with Store.opened(parts[0].folder, parts[0].planned) as store:
-        row = store.rows()[0]
-        store.put_row(type(row)(row.case_id, "misfit", "", row.version, row.body))
+        store.put_row(store.rows()[0]._replace(status="misfit"))
     with pytest.raises(InputError, match=r"differs between .* leave one"):
         target.merge([parts[0].folder])
 
