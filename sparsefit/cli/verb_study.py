@@ -9,7 +9,7 @@ from threading import Thread
 from typing import TYPE_CHECKING
 
 from sparsefit.cli import terminal
-from sparsefit.cli.options import FORCE, PAIRS, RESULTS, Option, Verbs, print_help, verb
+from sparsefit.cli.options import PAIRS, RESULTS, Option, Verbs, print_help, verb
 from sparsefit.cli.terminal import Reply, terminal_width
 from sparsefit.errors import InputError, non_negative, told_with
 
@@ -42,16 +42,8 @@ RUN = (
     Option("--against", "results folder of another run, with which the finished one is compared",
            "FOLDER"),
 )  # fmt: skip
-SHOW = (
-    Option("--table", "table to print, may be repeated; default: those of the study", "NAME",
-           extra=PAIRS),
-    Option("--case", "run this one case again in this process, draw it, and print its numbers "
-           "beside the stored ones; ids are in cases.parquet, in `errors` and in report.html",
-           "CASE_ID"),
-    Option("-o --output", "picture of the flight of the case, .svg, .png or .pdf; default: "
-           "case-CASE_ID.svg in the results folder of the study", "FILE"),
-    FORCE,
-)  # fmt: skip
+TABLES = Option("--table", "table to print, may be repeated; default: those of the study", "NAME",
+                extra=PAIRS)  # fmt: skip
 COMPARED = (
     *(Option(name, f"the {name} run: a results folder, or a study file with results",
              name.upper()) for name in ("first", "second")),
@@ -67,7 +59,7 @@ def add(verbs: Verbs) -> None:
     parser = verb(verbs, "study", print_help, about=ABOUT)
     actions = parser.add_subparsers(metavar="ACTION", title="actions", dest="action")
     for run in (check, plan, run_study, status, errors, show, report, compare, merge):
-        more = {run_study: RUN, show: SHOW, compare: COMPARED, merge: (PARTS,)}
+        more = {run_study: RUN, show: (TABLES,), compare: COMPARED, merge: (PARTS,)}
         of_study = () if run is compare else (STUDY, RESULTS)
         options = (*of_study, *more.get(run, ()))
         verb(actions, run.__name__.removesuffix("_study"), run, options)
@@ -188,20 +180,10 @@ def errors(args: argparse.Namespace) -> Reply:
 
 
 def show(args: argparse.Namespace) -> Reply:
-    """Print the tables of a study, also unfinished; or run one case again."""
+    """Print the tables of a study, also unfinished."""
     from sparsefit.study import page, tables
 
     study = read_study(args)
-    if args.case is not None:  # its picture is written, its numbers beside the stored
-        if args.output is not None:
-            endings = (".svg", ".png", ".pdf")
-            terminal.check_output(args.output, force=args.force, endings=endings)
-        file = Path(args.output or study.folder / f"case-{args.case}.svg")
-        table = page.write_case(study, args.case, file)
-        drawn = str(file) if study.kind == "flights" else None
-        record = {"case": args.case, "picture": drawn, **table.record()}
-        written = [f"written to {drawn}"] if drawn else []
-        return Reply(record, [table.to_text(terminal_width()), *written])
     cases, width = study.cases, terminal_width()
     if not args.table and not args.json:
         return Reply({}, [page.show(study, cases, width=width).rstrip("\n")])

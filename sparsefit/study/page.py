@@ -14,7 +14,6 @@ import re
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from importlib import import_module, resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -28,7 +27,7 @@ from sparsefit.study.figures import Picture
 from sparsefit.study.measures import in_flow, measure
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.trials import unit_of
-from sparsefit.whole_file import write_files, write_whole
+from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -240,39 +239,3 @@ def write(study: Any) -> list[Path]:
     parts += [*fitting, *shown] if "prediction" in made else [*shown, *fitting]
     files["README.md"] = joined([*parts, linked(made)])
     return write_files(study.folder, files)
-
-
-def write_case(study: Any, case_id: str, file: Path) -> Table:
-    """Run a case again, draw it into a file, and return its status and numbers, stored and now.
-
-    Args:
-        file: .svg, .png or .pdf; a regression problem is not drawn.
-
-    Raises:
-        InputError: if the study plans no such case.
-    """
-    import pandas as pd
-
-    from sparsefit.plot import draw_estimate
-
-    again, cases = study.again(case_id), study.cases
-    same: list[Any] = cases[cases["case_id"] == case_id].to_dict("records")
-    stored = same[0] if same else {}
-    end = again.estimate if study.kind == "flights" else again
-    values = {"status": end.status, **again.values}
-    numbers = {"stored": stored, "run again": values}
-    if study.kind == "flights":
-        truth = {f"est_{name[5:]}": stored[name] for name in stored if name.startswith("true_")}
-        numbers = {"truth": truth, **numbers}
-        case = stored or study.plan().set_index("case_id").loc[case_id]
-        flow, flights = again.flown.draw.flow, list(again.flown.fleet[:1])
-        truths = [part.length_scale for part in flow.cells] if flow is not None else []
-        title = f"{study.name}, case {case_id}: {case['title']}"
-        estimator = study.estimator(case["candidate"])
-        figure = draw_estimate(again.estimate, estimator, flights, title, truths)
-        write_whole(file, encoded(figure, file.suffix.lower()))
-    frame = pd.DataFrame(numbers, index=pd.Index(values, name="what"), dtype=object)
-    frame = frame.replace("", None).dropna(how="all", subset=["stored", "run again"])
-    columns = (Column("what"), *(Column(name, format=".6g") for name in numbers))
-    notes = (f"Run again: {end.reason}.",) if end.reason else ()
-    return replace(Table.of(frame), title=f"Case {case_id}", columns=columns, notes=notes)

@@ -170,22 +170,6 @@ def test_show_prints_the_tables(capsys, finished):
     assert list(tables) == ["errors", "times"]
 
 
-def test_show_runs_one_case_again_and_draws_it(capsys, finished):
-    rows = read_cases("results/small")
-    case = str(rows["case_id"].iloc[0])
-    code, out, _ = run(capsys, "study", "show", finished, "--case", case)
-    assert code == 0
-    assert "run again" in out
-    drawn = Path(f"results/small/case-{case}.svg")
-    assert f"written to {drawn}" in out
-    assert drawn.read_text("utf-8").startswith("<?xml")
-    options = ("--case", case, "--output", "one.svg", "--json")
-    record = json.loads(run(capsys, "study", "show", finished, *options)[1])
-    assert (record["case"], record["picture"]) == (case, "one.svg")
-    assert "exists; add --force" in refused(capsys, "study", "show", finished, *options)
-    assert f"try {case}" in refused(capsys, "study", "show", finished, "--case", case[:-1])
-
-
 def test_report_writes_the_same_again(capsys, finished):
     before = Path("results/small/errors.csv").read_text()
     os.remove("results/small/errors.csv")
@@ -298,7 +282,6 @@ def test_results_of_another_study_are_refused(capsys, finished):
         ("run small.toml --results file", "cannot write file/small"),
         ("run small.toml --processes 0", "at least 1"),
         ("show small.toml --table eror", 'did you mean "errors"?'),
-        ("show small.toml --case 0000 --output one.html", 'unknown file type ".html"'),
         ("compare nowhere small.toml", "No such file"),
         ("run small.toml --against nowhere", "nowhere/cases.parquet: no such file"),
         ("compare small.toml small.toml --tolerance -1", "--tolerance must be"),
