@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import inspect
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
 from importlib import import_module
@@ -31,10 +30,9 @@ from sphinx.util.docutils import SphinxDirective
 
 from sparsefit import backends
 from sparsefit.cli import parser
-from sparsefit.study import crossing, entries, figures, keys, measures, tables
+from sparsefit.study import crossing, entries, figures, keys, measures, schema, tables
 from sparsefit.study.measures import SUMMARY_NAMES
 from sparsefit.study.quantities import QUANTITIES, FlightWords
-from sparsefit.study.schema import described, sentences
 
 DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"
@@ -62,14 +60,15 @@ RECORDS = {
 
 
 def meanings(section: str) -> dict[str, str]:
-    """The description of each key of a section, from its records or study-keys.toml."""
+    """The description of each key of a section, with what its records say."""
+    means = schema.meanings()[section]
     words = dict.fromkeys(crossing.SECTION_KEYS.get(section, ()), "")
     for kind in RECORDS.get(section, ()):
-        words |= sentences(kind)
+        words |= schema.sentences(kind, section)
     if section == "flights":
         rows = QUANTITIES.items()
-        words |= {name: described(row.sentence, row.unit, row.range) for name, row in rows}
-    return words | tomllib.loads((DOCS / "study-keys.toml").read_text("utf-8")).get(section, {})
+        words |= {name: schema.described(means[name], row.unit, row.range) for name, row in rows}
+    return words | {name: text for name, text in means.items() if not words.get(name)}
 
 
 def study_keys(section: str, _: Mapping[str, str] | None = None) -> list[str]:
@@ -77,7 +76,7 @@ def study_keys(section: str, _: Mapping[str, str] | None = None) -> list[str]:
     words = meanings(section)
     missing = [key for key, text in words.items() if not text]
     if missing or not words:
-        raise ValueError(f"study-keys.toml, [{section}]: no words for {missing}")
+        raise ValueError(f"keys.toml, [{section}]: no words for {missing}")
     return table(("key", "what it holds"), ((f"`{key}`", text) for key, text in words.items()))
 
 

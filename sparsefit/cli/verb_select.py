@@ -29,9 +29,9 @@ RUN = (
 
 def add(verbs: Verbs) -> None:
     """Declare the verb."""
-    words, rule = sentences(SelectionRule), list[Option]()
+    words, rule = sentences(SelectionRule, "select"), list[Option]()
     for item in fields(SelectionRule):
-        number = (float, item.metadata["unit"] or "NUMBER")
+        number = (float, item.metadata.get("unit") or "NUMBER")
         read, metavar = READERS.get(type(item.default), number)
         rule.append(option_of(item.name, words[item.name], metavar, read))
     groups = {"rule (in place of what [select] of the study file says)": rule}

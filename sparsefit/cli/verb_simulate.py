@@ -13,7 +13,7 @@ from sparsefit.cli.options import FORCE, Option, OptionPlace, Verbs, option_of, 
 from sparsefit.cli.terminal import Reply, check_output
 from sparsefit.errors import integer, one_line
 from sparsefit.study.quantities import QUANTITIES, FlightWords
-from sparsefit.study.schema import described, sentences
+from sparsefit.study.schema import described, meanings, sentences
 
 DEFAULTS: dict[str, Any] = {
     "response_time": 0.5, "thrust_acceleration": [5.0, 3.0], "duration": 10.0, "sample_rate": 100.0
@@ -25,6 +25,7 @@ def add(verbs: Verbs) -> None:
     groups: dict[str, list[Option]] = {
         title: [] for title in ("flow", "vehicle", "flight", "faults of the log")
     }
+    means = meanings()["flights"]
     for name, row in QUANTITIES.items():
         of_vehicle = any(word in name for word in ("response", "thrust", "drag"))
         title = "vehicle" if of_vehicle else "flight"
@@ -33,10 +34,10 @@ def add(verbs: Verbs) -> None:
         elif row.of_flow or name.startswith("wind"):
             title = "flow"
         if name not in ("together", "measurement_noise"):  # which are of studies
-            words = described(row.sentence, row.unit, row.range, DEFAULTS.get(name))
+            words = described(means[name], row.unit, row.range, DEFAULTS.get(name))
             metavar = "X Y" if len(row.streams) == 2 else row.unit or "NUMBER"
             groups[title].append(option_of(name, words, metavar, float))
-    for name, words in sentences(FlightWords).items():
+    for name, words in sentences(FlightWords, "flights").items():
         groups["flow"].append(option_of(name, words, "NAME", str))
     options = (
         Option("--seed", "seed of the random numbers; default: 0", "N", int, {"default": 0}),

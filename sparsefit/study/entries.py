@@ -57,7 +57,7 @@ class Entry:
     lines: str = "title"
     limits: tuple[float, ...] = ()
     interval: bool = False
-    width: float = key("Width of a figure.", 7.0, Range(least=2.0, most=50.0), "in")
+    width: float = key(7.0, Range(least=2.0, most=50.0), "in")
 
     @property
     def measures(self) -> list[Measure]:

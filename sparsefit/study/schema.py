@@ -4,7 +4,7 @@
 
     @dataclass(frozen=True)
     class RunRule:
-        case_timeout: float = key("Seconds that one case may take.", 60.0, POSITIVE, "s")
+        case_timeout: float = key(60.0, POSITIVE, "s")
 
 `codec.build` makes the record, and refuses by file, section and key, with the nearest name;
 `sentences` are what help texts and the documentation say of each key. A dotted key of d parts costs
@@ -22,6 +22,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -146,8 +148,8 @@ ANY, POSITIVE, NOT_NEGATIVE = Range(), Range(above=0.0), Range(least=0.0)
 SHARE, INSIDE = Range(least=0.0, most=1.0), Range(above=0.0, below=1.0)
 
 
-def key(sentence: str, default: Any = MISSING, range: Range = ANY, unit: str = "") -> Any:
-    """A field of a record of keys, with its sentence in the documentation, range and unit.
+def key(default: Any = MISSING, range: Range = ANY, unit: str = "") -> Any:
+    """A field of a record of keys with its range and unit; a list must not be empty.
 
     default: its value, or a function without arguments that returns it; none: the key is required.
     """
@@ -158,22 +160,33 @@ def key(sentence: str, default: Any = MISSING, range: Range = ANY, unit: str = "
                 range.check(item, place, unit)
 
     content = {"default_factory" if callable(default) else "default": default}
-    words = described(sentence, unit, range, MISSING if callable(default) else default)
-    words += " Needed." if default is MISSING else ""
-    return field(**content, metadata={"words": words, "unit": unit, "check": check})
+    return field(**content, metadata={"unit": unit, "range": range, "check": check})
 
 
-def described(sentence: str, unit: str, range: Range, default: Any = MISSING) -> str:
-    """The words of a key: its sentence, unit, range and default."""
-    words = [sentence, unit and f"[{unit}]", range.words and f"({range.words})"]
+@cache
+def meanings() -> dict[str, dict[str, str]]:
+    """Section -> key -> what it means, from `keys.toml`."""
+    text = (resources.files(__package__) / "keys.toml").read_text(encoding="utf-8")
+    sections: dict[str, dict[str, str]] = tomllib.loads(text)
+    return sections
+
+
+def described(meaning: str, unit: str, range: Range, default: Any = MISSING) -> str:
+    """The words of a key: its meaning, unit, range and default."""
+    words = [meaning, unit and f"[{unit}]", range.words and f"({range.words})"]
     if default not in (MISSING, None, "", ()):
         words.append(f"Default {json.dumps(default)}.")
     return " ".join(word for word in words if word)
 
 
-def sentences(kind: type[Any]) -> dict[str, str]:
-    """Key -> its words, of every field; empty where `key` did not declare it."""
-    return {item.name: item.metadata.get("words", "") for item in fields(kind)}
+def sentences(kind: type[Any], section: str) -> dict[str, str]:
+    """Key -> its words, of every field of a record of a section or, in common, of "study"."""
+    words, means = dict[str, str](), meanings()["study"] | meanings()[section]
+    for item in fields(kind):
+        unit, range = item.metadata.get("unit", ""), item.metadata.get("range", ANY)
+        needed = " Needed." if item.default is item.default_factory is MISSING else ""
+        words[item.name] = described(means[item.name], unit, range, item.default) + needed
+    return words
 
 
 def names_of(kind: type[Any]) -> tuple[str, ...]:
