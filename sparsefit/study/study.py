@@ -23,13 +23,12 @@ from typing import TYPE_CHECKING, Any
 
 from sparsefit.codec import Place, build, shown
 from sparsefit.errors import InputError, SparsefitError, described
-from sparsefit.study.columns import Outcome
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import FlightFile, Heading, Outputs, ProblemFile
-from sparsefit.study.plan import Batch, Plan
+from sparsefit.study.plan import Plan
 from sparsefit.study.problem_experiment import ProblemExperiment
-from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, outcomes, run
+from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, run
 from sparsefit.study.schema import Section, read_toml, taken
 from sparsefit.study.store import Store, cases_table, read_cases
 from sparsefit.study.trials import Latency, measured, read_latencies, write_latencies
@@ -207,30 +206,26 @@ class Study:
         self.__dict__.pop("cases", None)
         return merge(self.planned, self.folder, parts)
 
-    def again(self, case_id: str) -> Reading | Outcome:
-        """Run one case again; a case of flights in this process, with its intermediate results.
+    def again(self, case_id: str) -> Reading:
+        """Run one case of flights again, in this process, with its intermediate results.
 
         Raises:
             InputError: for an unknown id, with the nearest one.
             SparsefitError: if the case fails, with its error.
         """
-        place = self.planned.place_of.get(case_id)
+        place = self.flights.place_of.get(case_id)
         if place is None:
-            ids = self.planned.case_ids
-            near, *_ = get_close_matches(case_id, ids, 1) or ids
-            where = "its cases.parquet and report.html list them"
+            near, *_ = get_close_matches(case_id, self.planned.case_ids, 1) or self.planned.case_ids
+            where = "its cases.parquet lists them"
             raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}; try {near}")
         unit, cell = self.planned.at(place)
-        if self.kind == "flights":
-            try:
-                ((_, reading),) = FlightDesk(self.flights).readings(unit, [cell])
-            except InputError:
-                raise
-            except Exception as error:
-                raise SparsefitError(f"{case_id} ends in an error: {described(error)}") from error
-            return reading
-        ((outcome,),) = filter(None, outcomes(self.planned, iter([Batch(unit, (cell,))]), 1))
-        return outcome
+        try:
+            ((_, reading),) = FlightDesk(self.flights).readings(unit, [cell])
+        except InputError:
+            raise
+        except Exception as error:
+            raise SparsefitError(f"{case_id} ends in an error: {described(error)}") from error
+        return reading
 
     def cells_of(self, candidate: str) -> list[int]:
         """The indices of the cells of a candidate, one per condition.
