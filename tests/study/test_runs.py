@@ -18,6 +18,7 @@ from sparsefit.regression.backend import plugins
 from sparsefit.study.plan import sources, without_words
 from sparsefit.study.runner import locked
 from sparsefit.study.store import CASES, STORE, Store, read_cases
+from sparsefit.study.trials import Latency
 from tests.study import attacks, hostile
 from tests.study.small_study import small_study
 
@@ -361,6 +362,15 @@ def test_latency_and_variants_of_candidates(copied):
     assert again.values["est_length_scale"] == row["est_length_scale"]
     with pytest.raises(InputError, match=r"plans no case .*; try 0000-"):
         copied.again("0000-1")
+
+
+def test_an_interrupt_keeps_the_candidates_that_were_timed(copied, monkeypatch):
+    first, second = copied.plan()["candidate"].unique()[:2]
+    timed = iter([Latency(0.1, 0.2, 30.0, 10)])
+    monkeypatch.setattr("sparsefit.study.study.measured", lambda *_: next(timed))
+    with pytest.raises(StopIteration):
+        copied.latency([first, second], 10)
+    assert list(copied.latencies) == [first]
 
 
 @pytest.mark.slow
