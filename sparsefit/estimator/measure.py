@@ -222,7 +222,8 @@ def measure_flow(
         followed = not prepared.too_fast(there.model.pattern.length_scale)
         if proposal.shape == "scales" and followed:  # its waves are free if BIC says so
             free_waves = there.model.pattern.reshaped("several", pattern.drifting)
-            loose = fitted(logs, [replace(own, pattern=free_waves) for own in there.models], there)
+            freer = [replace(own, pattern=free_waves) for own in there.models]
+            loose = fitted(logs, freer, there, least=there.log_likelihood)
             there = loose if loose is not None and loose.bic < there.bic else there
         # An optimum that left its proposal is one of its own where the rows do not exclude it.
         if not there.model.pattern.is_near(proposal.wavevectors, near):
@@ -336,8 +337,9 @@ def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
 def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> float:
     """2 ln(likelihood ratio) of a flow over turbulence alone, less its threshold by chance."""
     pattern = posterior.model.pattern
-    speed, length = pattern.mean_velocity, pattern.length_scale
-    still = StreamPattern("axis", (1e-6 * speed, length, 0.0, 0.0), origin=pattern.origin)
+    speed = pattern.mean_velocity
+    longest = 1e2 * pattern.length_scale  # no waves: no steps between readings that follow them
+    still = StreamPattern("axis", (1e-6 * speed, longest, 0.0, 0.0), origin=pattern.origin)
     calm = [
         replace(model.with_processes(()), pattern=still, fixed=still.names).free(*WIND)
         for model in posterior.models

@@ -129,11 +129,11 @@ def diagnose(
     def attempt(trials: Iterable[Trial]) -> None:
         """Fit trials, but those that come nowhere near the best; keep the plausible ones."""
         for trial in trials:
-            least, leaders = -math.inf, list(filter(eligible, fits))
-            if leaders:
+            least = posterior.log_likelihood
+            if leaders := list(filter(eligible, fits)):
                 leader = max(leaders, key=merit)
                 rivalry = max(leader[1].evidence, CHANCE) if leader[0].suspicious else 0.0
-                least = merit(leader) + 2.0 * trial.freedom - rivalry
+                least = max(least, merit(leader) + 2.0 * trial.freedom - rivalry)
             there = refit(trial.models, posterior, least)
             if there is not None and plausible(there, first):
                 fits.append((trial, there))
@@ -254,19 +254,19 @@ def scanned(start: Posterior, process: Process) -> tuple[float, tuple[Model, ...
 
     Each of several flights has a level of its own, which may be nothing.
     """
-    shares = SCANNED if len(start.legs) == 1 else (*SCANNED, ABSENT)
-    every = [
-        with_process(start.models, replace(process, level=share * process.level))
-        for share in shares
-    ]
-    if len(start.legs) > 1:
-        passes = [_pass(start, models).passes for models in every]
-        values = np.array([[own.value for own in each] for each in passes])
+    alone, values, tried = len(start.legs) == 1, list[list[float]](), [(0.0, start.models)]
+    for share in SCANNED if alone else (*SCANNED, ABSENT):
+        models = with_process(start.models, replace(process, level=share * process.level))
+        step = _pass(start, models)
+        values.append([own.value for own in step.passes])
+        tried.append((2.0 * (step.reached - start.log_likelihood), models))
+        if alone and tried[-1][0] < tried[-2][0]:  # there is one maximum
+            break
+    if not alone:
         best = np.where(np.isfinite(values), values, -np.inf).argmax(axis=0).tolist()
-        every = [tuple(every[level][flight] for flight, level in enumerate(best))]
-    likely = [_pass(start, models).reached for models in every]
-    gain = 2.0 * (max(likely) - start.log_likelihood)
-    return gain, every[likely.index(max(likely))]
+        models = tuple(tried[1 + level][1][flight] for flight, level in enumerate(best))
+        tried[1:] = [(2.0 * (_pass(start, models).reached - start.log_likelihood), models)]
+    return max(tried[1:], key=lambda own: own[0])
 
 
 def _pass(start: Posterior, models: Sequence[Model]) -> Step:
@@ -281,10 +281,11 @@ def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
     simpler = cells[: cells.index(pattern.shape) + 1] if pattern.shape in cells else ()
     for drifting, name in product((False, True)[: 1 + pattern.drifting], simpler):
         simple = pattern.reshaped(name, drifting)
-        if len(pattern.waves) == 2 and len(simple.values) < len(pattern.values):
+        fewer = len(pattern.values) - len(simple.values)
+        if len(pattern.waves) == 2 and fewer > 0:
             models = [replace(model, pattern=simple) for model in posterior.models]
             near = _pass(posterior, models).reached > posterior.log_likelihood - LOST
-            least = posterior.log_likelihood - LOST  # of likelihood: more than BIC gains
+            least = posterior.log_likelihood - 6.0 * fewer  # BIC of 160,000 readings asks no more
             there = refit(models, posterior, least) if near else None
             if there is not None and there.bic < posterior.bic:
                 return there

@@ -267,7 +267,7 @@ def measure(
             behind is given up.
 
     Raises:
-        InputError: if the log has gaps too long.
+        InputError: if the log has gaps too long, or few rows of it do not hold the waves.
     """
     records, models = _about(logs, model)
     speed, length = models[0].pattern.mean_velocity, models[0].pattern.length_scale
@@ -296,6 +296,9 @@ def measure(
             legs = tuple(leg.at({LEVELS[0]: q}) for leg, q in zip(placed, kicks, strict=True))
             if stride > 1:
                 few, hold = climbed(legs, floors, PASSES)[0], 0
+                for leg, each in zip(few, models, strict=True):
+                    if 4.0 * longest_step(leg.log, leg.model) < longest_step(leg.log, each):
+                        raise InputError("the waves run away to ever shorter ones")
                 legs = tuple(leg.again(1) for leg in few)
         else:
             legs = tuple(

@@ -32,6 +32,7 @@ GAIN = 0.005  # of the log-likelihood in a pass, below which the search has conv
 NEGLIGIBLE = 0.01  # degrees of freedom of a level that counts as zero
 GATE = 4.5  # deviations beyond which a reading is left out
 OUTLIERS = 0.2  # the largest share of readings that may be left out
+HOPE = 5  # times the gain of a pass: what a search may still gain
 SORTING = 8  # passes after which the choice of readings is fixed
 DEPENDENT = 1e-11  # the least eigenvalue of the scaled information of an observable model
 
@@ -146,8 +147,8 @@ def climbed(
         floors: per log, standard deviations (l,) that no level goes below.
         hold: the passes before the levels of the instruments move.
         most: passes.
-        least: the log-likelihood asked: a search is given up that does not come there in the
-            passes left, at the larger of its last two rises.
+        least: the log-likelihood asked: a search is given up that does not come there by `HOPE`
+            times what is predicted of a pass or, far from there, its last two rises.
 
     Returns:
         The logs at the optimum with their smoothed passes, the last step, and the reason why the
@@ -193,7 +194,8 @@ def climbed(
             if not fresh and step.gain < enough and (gains < enough or level):
                 break
             late = history[-3:]
-            if len(history) > 3 and max(late) + left * max(0.0, *np.diff(late)) < least:
+            ahead = max([0.0, *np.diff(late)]) if math.isinf(gains) else step.gain + gains
+            if len(history) > 2 and max(late) + min(left, HOPE) * ahead < least:
                 reason = "another model is likelier"
                 break
         if best is not None:

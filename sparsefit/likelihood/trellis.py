@@ -181,10 +181,11 @@ class Pass:
 
 
 def longest_step(log: FlightLog, model: Model) -> float:
-    """The step [s] in which the flow's waves turn by `PHASE` at the speed of a log."""
+    """The step [s] in which waves turn by `PHASE`, if by less than half a turn between rows."""
     size, tau = float(np.hypot(*model.pattern.waves[:, :2].T).max()), model.values["response_time"]
     slaved = log.interval > tau  # what the vehicle does within its response time is not seen
-    return min(PHASE / (size * log.speed), (1.5 if slaved else 0.5) * tau)
+    turn = PHASE * max(1.0 / (size * log.speed), log.interval / math.pi)
+    return min(turn, (1.5 if slaved else 0.5) * tau)
 
 
 def _widened(track: Array, model: Model) -> Array:
