@@ -296,9 +296,8 @@ def measure(
             legs = tuple(leg.at({LEVELS[0]: q}) for leg, q in zip(placed, kicks, strict=True))
             if stride > 1:
                 few, hold = climbed(legs, floors, PASSES)[0], 0
-                for leg, each in zip(few, models, strict=True):
-                    if 4.0 * longest_step(leg.log, leg.model) < longest_step(leg.log, each):
-                        raise InputError("the waves run away to ever shorter ones")
+                if 4.0 * few[0].model.pattern.length_scale < length:
+                    raise InputError("the waves run away to ever shorter ones")
                 legs = tuple(leg.again(1) for leg in few)
         else:
             legs = tuple(
