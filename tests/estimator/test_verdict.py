@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -321,6 +322,18 @@ def test_a_flow_is_judged_by_each_of_its_numbers(inside, outside, words):
     assert not reasons(inside)
     (reason,) = reasons(outside)
     assert reason.endswith(words)
+
+
+def test_a_track_is_as_long_as_it_is_through_cells_that_drift():
+    prepared, _ = measured()
+    own = prepared.parts[0]
+    drift = np.ptp(own.position, axis=0) / np.ptp(own.time) * [1.0, 0.0]
+    model = SimpleNamespace(pattern=SimpleNamespace(drift=drift))
+    carried = SimpleNamespace(posterior=SimpleNamespace(model=model))
+    library = replace(prepared.library, grid=replace(prepared.library.grid, lower=1e3, upper=1.1e3))
+    verdict = next(doubts_of_flow(replace(prepared, library=library), carried, [], 0.03, ()))
+    extent = np.ptp(own.position - own.time[:, None] * drift, axis=0).max()
+    assert (verdict.doubt, f"covers {extent:.2g} m" in verdict.reason) == (Doubt.SHORT_TRACK, True)
 
 
 class Growing:
