@@ -41,7 +41,7 @@ FLATTEST = 1e-4  # the least variance of a component of gusts, over that of the 
 BESIDE = 0.1  # the share of white process noise that a search keeps beside a new process
 PASSES = 15  # of a search over all rows
 LAST = 60  # passes towards an answer that has not converged
-HINT = 0.1  # the p-value below which a cause that is not significant widens the intervals
+HINT = 0.1  # the p-value below which a cause that is not freed widens the intervals
 FACTOR = 3.0  # by which a scale or a response time may be off
 LATEST = 0.2  # of half the log: the longest latency
 LOST = 100.0  # of log-likelihood in one pass, more than BIC gains by a simpler shape
@@ -208,11 +208,10 @@ def diagnose(
         grown = gains if posterior is start else gains_of(posterior, {"growth": ("growth",)})
         growth = float(grown["growth", 0].step[0]), float(grown["growth", 0].error[0])
     shares = _ambiguity(posterior, believed, rivals) if suspects else (0.0, 0.0)
-    if posterior is start:  # gains of the last round, in which nothing was found
+    if posterior is start:  # gains of the last round, in which nothing was freed
         hints = [
-            own.moves for own in gains.values()
-            if FALSE_ALARM <= tests * chance_of(own.gain, len(own.step)) < HINT
-        ]  # fmt: skip
+            own.moves for own in gains.values() if tests * chance_of(own.gain, len(own.step)) < HINT
+        ]
         shares = tuple(np.max([shares, *np.abs(hints).tolist()], axis=0).tolist())
     return Diagnosis(posterior, believed, tuple(suspects), growth, wandering, shares)
 
