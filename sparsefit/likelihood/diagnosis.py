@@ -341,7 +341,9 @@ def _varied(refit: Refit, posterior: Posterior, directed: bool = True) -> Poster
                 for (a, n), freedom in ((parts, len(parts.T)), (sides, 2))
             )
             if gusts.course or in_time:
-                course = np.array(gusts.course or np.ones(len(parts.T))) * parts[0] / parts[1]
+                before = gusts.course or (1.0,)  # of as many parts, but for rounding
+                ends, places = (np.linspace(0.0, 1.0, len(own)) for own in (parts.T, before))
+                course = np.interp(ends, places, before) * parts[0] / parts[1]
                 gusts = replace(gusts, course=tuple((course / course.mean()).tolist()))
             if directed and (gusts.mixing or by_side) and np.isfinite(sides).all():
                 a, n = ([[x, 0.5 * (u - v)], [0.5 * (u - v), y]] for x, y, u, v in sides)

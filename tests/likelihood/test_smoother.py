@@ -477,6 +477,10 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
     assert varied.log_likelihood > posteriors[1].log_likelihood + 20.0
     own = np.array(varied.model.disturbance.processes[0].mixing)
     np.testing.assert_allclose(own @ own.T, root @ root.T / 0.98, atol=0.25)
+    parted = replace(turbulence, course=(1.0,) * 59)  # 55 parts of 11 rows are 59 of 600, rounded
+    air = Disturbance(processes=(parted,))
+    again = measure(log, Model(nearby(), {"response_time": TAU}, air))
+    assert _varied(lambda models, near, _: measure(log, models, near), again).log_likelihood > 0.0
 
 
 @pytest.mark.parametrize(("bend", "slope", "reach"), [(1.0, 0.1, 2.0), (10.0, 0.0, 3.0)])
