@@ -1,6 +1,7 @@
 """`python -m sparsefit`, and the command `sparsefit`: both begin here."""
 
 import os
+import signal
 import sys
 
 
@@ -10,6 +11,7 @@ def main() -> int:
         from sparsefit.cli import main as run
 
         code = run()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done: there is nothing to stop
     except KeyboardInterrupt:
         print("\nstopped", file=sys.stderr)
         code = 130

@@ -24,7 +24,7 @@ from sparsefit.codec import Place, integer, shown
 from sparsefit.errors import InputError, is_real
 from sparsefit.study import crossing
 from sparsefit.study.columns import FLIGHT_COLUMNS, PARAMETERS, STATUSES, Outcome, kinds_of
-from sparsefit.study.crossing import ALPHA, BackendPoint, Cell, Protocols
+from sparsefit.study.crossing import ALPHA, Cell, Protocols
 from sparsefit.study.draw import Logged, Logs
 from sparsefit.study.flight_desk import FlightDesk, truth_of
 from sparsefit.study.keys import FlightFile
@@ -132,17 +132,18 @@ class FlightExperiment(Plan):
         cells, protocols = self.points, self.protocols
         worlds = _half_words(protocols)
         readings = _half_words(protocols, worlds)
-        words = _setting_words({cell.backend: None for cell in cells})
+        points = [cell.backend for cell in cells]
+        fitted = [(point.name, point.label, point.canonical_settings) for point in points]
+        words = setting_words(fitted)
         conditions, candidates, aspects = list[str](), list[str](), list[tuple[str, ...]]()
-        for cell in cells:
+        for cell, key in zip(cells, fitted, strict=True):
             own = {k: level for k, level in cell.levels.items() if not _of_flight(k)}
             levels = [level_words(k, v) for k, v in cell.levels.items() if k not in own]
             world, reading = worlds[cell.protocol], readings[cell.protocol]
             conditions.append(", ".join(filter(None, (world, *levels))))
-            fitted = (cell.backend.name, cell.backend.label, cell.backend.canonical_settings)
-            candidates.append(digest(canonical_json([reading, own, *fitted]))[:12])
+            candidates.append(digest(canonical_json([reading, own, *key]))[:12])
             chosen = ", ".join(level_words(k, v) for k, v in own.items())
-            aspects.append((reading, words[cell.backend], chosen))
+            aspects.append((reading, words[key], chosen))
         titles = dict(zip(candidates, _titles(aspects), strict=True)) | self.titled
         return {
             "condition": conditions,
@@ -150,9 +151,9 @@ class FlightExperiment(Plan):
             "title": [titles[name] for name in candidates],
             "reading": [readings[cell.protocol] for cell in cells],
             "protocol": [cell.protocol for cell in cells],
-            "backend": [cell.backend.name for cell in cells],
-            "settings": [cell.backend.canonical_settings for cell in cells],
-            "label": [cell.backend.label for cell in cells],
+            "backend": [name for name, *_ in fitted],
+            "settings": [settings for *_, settings in fitted],
+            "label": [label for _, label, _ in fitted],
             **{key: self._levels(key) for key in self.factors()},
             "case_id": numbered(map(self._identity, cells)),
         }
@@ -355,13 +356,13 @@ def _titles(aspects: Sequence[tuple[str, ...]]) -> Iterator[str]:
         yield " with ".join(filter(None, (names, levels)))
 
 
-def _setting_words(points: Iterable[BackendPoint]) -> dict[BackendPoint, str]:
-    """The words of each back-end: its label, and the settings in which those of it differ."""
-    settings = {at: {"backend": at.name, **json.loads(at.canonical_settings)} for at in points}
+def setting_words(fitted: Iterable[tuple[str, str, str]]) -> dict[tuple[str, str, str], str]:
+    """The words of each (back-end, label, settings as JSON): the label, and what varies of it."""
+    settings = {key: {"backend": key[0], **json.loads(key[2])} for key in fitted}
     words = {}
-    for point, own in settings.items():
-        alike = [other for at, other in settings.items() if at.label == point.label]
+    for key, own in settings.items():
+        alike = [other for at, other in settings.items() if at[1] == key[1]]
         varied = {name: value for name, value in own.items()
                   if any(other.get(name) != value for other in alike)}  # fmt: skip
-        words[point] = crossing.named(point.label, varied)
+        words[key] = crossing.named(key[1], varied)
     return words

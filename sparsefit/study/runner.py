@@ -145,12 +145,12 @@ def run(
                         ahead = (now - first[1]) / done * (total - computed) if done > 4 else None
                         tell(resumed + computed, resumed + total, ahead)
                         shown = now
-            seconds = time.monotonic() - begun
+            seconds = round(time.monotonic() - begun, 3)
             made = {"resumed": resumed, "computed": computed, "seconds": seconds}
             summary = RunSummary.of(store, **made, processes=count)
             if summary.finished:
                 statuses = dict(sorted(summary.statuses.items()))
-                work = {"wall_seconds": round(seconds, 3), "resumed_cases": resumed}
+                work = {"wall_seconds": seconds, "resumed_cases": resumed}
                 store.export({"statuses": statuses, **work, "processes": count})
         if summary.finished:
             discard(folder)

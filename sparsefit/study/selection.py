@@ -18,6 +18,7 @@ import numpy as np
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures, trials
 from sparsefit.study.entries import factor_words
+from sparsefit.study.flight_experiment import setting_words
 from sparsefit.study.measures import ROUNDING, factors
 from sparsefit.study.table import listed, significant
 from sparsefit.study.trials import Criterion, Difference, Trials, regimes_of, unit_of
@@ -156,29 +157,22 @@ def select(
 def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
     """Return `candidate`, `title`, `reading` with its factors, `backend` and `label`.
 
-    Factors that a reading sets are part of its name. A label that several candidates of a reading
-    share is replaced by what their titles say.
+    Factors that a reading sets are part of its name, settings that vary part of a label.
     """
     frame = cases.drop_duplicates("candidate").reset_index(drop=True)
     named = frame["reading" if "reading" in frame else "protocol"] if "protocol" in frame else ""
-    frame = frame.assign(
-        reading=named, label=frame["label"].mask(frame["label"] == "", frame["backend"])
-    )
+    fitted = list(zip(*(frame[name] for name in ("backend", "label", "settings")), strict=True))
+    words = setting_words(fitted)
+    frame = frame.assign(reading=named, label=[words[each] for each in fitted])
     own = [
-        name for name in factors(frame) if not name.startswith(("flights.", "problems."))
+        name for name in factors(frame) if not name.startswith("flights.")
         and frame.groupby("reading")[name].nunique(dropna=False).max() > 1
     ]  # fmt: skip
-    backends = [  # of `reading: back-end with levels`
-        title.removeprefix(f"{reading}: ").partition(" with ")[0]
-        for title, reading in zip(frame["title"], frame["reading"], strict=True)
-    ]
     if (frame["reading"] == "default").all():
         frame["reading"] = ""
     for name in own:
         frame["reading"] += [f", {factor_words(name)} {level}" for level in frame[name]]
     frame["reading"] = frame["reading"].str.removeprefix(", ")
-    alike = frame.duplicated(["reading", "label"], keep=False)
-    frame["label"] = frame["label"].mask(alike, backends)
     return frame[["candidate", "title", "backend", "reading", "label"]]
 
 

@@ -116,8 +116,8 @@ class Store:
         """The rows of the folder, read-only.
 
         Raises:
-            InputError: where a file is damaged or no regular one, or there are rows, and all of
-                them are of another study.
+            InputError: where a file is damaged or no regular one, has two rows of a case, or
+                there are rows, and all of them are of another study.
         """
         made = read_record(folder / MANIFEST) or {}
         same = made.get("study_hash") == plan.hash
@@ -129,6 +129,9 @@ class Store:
                 store.damaged += 1
             elif place is None:
                 store.unplanned += 1
+            elif store.status.flat[place]:  # of an export; the key of a base is the id
+                words = "take it from where it came, or leave it out"
+                raise InputError(f"{folder}: has two rows of case {row.case_id}: {words}")
             else:
                 store.status.flat[place] = row.status
                 store.version.flat[place] = row.version or "unknown"

@@ -49,8 +49,7 @@ def test_a_flow_that_was_not_found_is_said(flown):
     flight, estimator, estimate = flown
     lost = replace(estimate, flow=None, length_scale=np.nan, weights_by_scale={})
     titles = [axes.get_title() for axes in draw_estimate(lost, estimator, [flight], "x").axes]
-    assert titles[:3] == ["no flow to be drawn", "no weights",
-                          "velocity of the air, no flow found"]  # fmt: skip
+    assert titles[:3] == ["no flow to be drawn", "no weights", "velocity of the air, no flow found"]
 
 
 def test_the_residual_is_what_the_flow_leaves_of_the_air(flown):
