@@ -120,19 +120,9 @@ def provenance(study: Any, selection: Selection) -> dict[str, Any]:
     return {name: value for name, value in evidence.items() if name not in ("table", "regimes")}
 
 
-def pareto(selection: Selection) -> Picture:
-    """Return the figure of accuracy against latency of the timed candidates, with their front."""
-    figure = _drawn(selection)
-    return Picture(figure, "No candidate was timed." if figure is None else (
-        "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
-        "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
-        "constraint."
-    ))  # fmt: skip
-
-
 @styled
-def _drawn(selection: Selection) -> Figure | None:
-    """Draw the criterion of candidates against their latencies, median to 99th percentile [ms]."""
+def pareto(selection: Selection) -> Figure | None:
+    """Draw the criterion of the timed candidates against their latencies [ms], with their front."""
     criterion = selection.criterion
     timed = [
         (each, 1e3 * seen["median"], 1e3 * seen["p99"])
@@ -166,7 +156,12 @@ def write_selection(
     study: Any, selection: Selection, folder: Path | None = None, check: Selection | None = None
 ) -> list[Path]:
     """Write the tables and the figure of a selection, evidence.html and evidence.md, the last."""
-    said, made, picture = list(lines(selection, check)), tables(selection), pareto(selection)
+    said, made, figure = list(lines(selection, check)), tables(selection), pareto(selection)
+    picture = Picture(figure, "No candidate was timed." if figure is None else (
+        "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
+        "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
+        "constraint."
+    ))  # fmt: skip
     answer, title = headline(selection), f"{study.name}: the selection"
     files = files_of(study.name, made, {"pareto": picture})
     shown = drawing("pareto", picture, files.get("pareto.svg", b""))
@@ -179,7 +174,7 @@ def write_selection(
     text = [
         f"# {title}\n\n**{study.question}**\n\n**{answer}**",
         "\n".join(f"- {line}" for line in said),
-        "![accuracy and latency](pareto.svg)" if picture.figure is not None else "",
+        "![accuracy and latency](pareto.svg)" if figure is not None else "",
         made["selection"].to_markdown(12, "selection.csv"),
         f"{linked(made)} Written by `sparsefit select`; do not edit.",
     ]

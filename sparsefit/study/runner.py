@@ -283,12 +283,7 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
     """Copy the rows of other results folders of a study into its own.
 
     A Parquet file needs its checksum in the manifest beside it. Once all rows are there the study
-    is finished, as if it had been run here.
-
-    Raises:
-        InputError: if a part is no results folder, is damaged or of another study, if two rows of
-            one case differ (no row is copied then), the folder is in use, or the study is of
-            solvers, which are timed by turns in one run.
+    is finished, as if it had been run here. The errors are those of `Study.merge`.
     """
     name = plan.definition.name
     if plan.alone:

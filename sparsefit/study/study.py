@@ -201,7 +201,8 @@ class Study:
 
         Raises:
             InputError: if a part is no results folder, is damaged or of another study, if two rows
-                of one case differ (no row is copied then), or the study is of solvers.
+                of one case differ (no row is copied then), the folder is in use, or the study is
+                of solvers.
         """
         self.__dict__.pop("cases", None)
         return merge(self.planned, self.folder, parts)
