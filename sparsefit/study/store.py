@@ -26,7 +26,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import chain, repeat
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from zlib import crc32
@@ -43,6 +43,7 @@ from sparsefit.study.columns import (
     PROBLEM_COLUMNS,
     STATUSES,
     Outcome,
+    Value,
     body_of,
     kinds_of,
 )
@@ -56,25 +57,32 @@ if TYPE_CHECKING:
 
 STORE, CASES, MANIFEST = "cases.sqlite", "cases.parquet", "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
-SCHEMA = """CREATE TABLE IF NOT EXISTS cases (case_id TEXT PRIMARY KEY, status TEXT NOT NULL,
-reason TEXT NOT NULL, version TEXT NOT NULL, body TEXT NOT NULL, crc INTEGER NOT NULL)"""
+SCHEMA = """CREATE TABLE IF NOT EXISTS cases (case_id TEXT PRIMARY KEY, body TEXT NOT NULL,
+crc INTEGER NOT NULL)"""
 REMEDIES = {  # by what SQLite says
     **dict.fromkeys(("full", "I/O"), "make room, and run it again"),
     **dict.fromkeys(("readonly", "unable to open"), "check the folder's permissions"),
     "locked": "another run writes to it: wait for it",
 }
 BATCH, GROUP = 2048, 16_384  # rows that are read, and written, at once
-ENDED = ("status", "reason", "version")
 
 
 class Row(NamedTuple):
-    """A stored row: the id of its case, status, reason, version, and all other values as JSON."""
+    """A stored row: the id of its case, and the columns that are not planned as JSON."""
 
     case_id: str
-    status: str
-    reason: str
-    version: str
     body: str
+
+    @classmethod
+    def of(cls, case_id: str, values: Mapping[str, Value | None]) -> Row:
+        """The row of a case with these columns, `status`, `reason` and `version` among them."""
+        return cls(case_id, body_of(values))
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The columns that are not planned, empty ones left out."""
+        content: dict[str, Any] = json.loads(self.body)
+        return content
 
     @property
     def crc(self) -> int:
@@ -83,10 +91,10 @@ class Row(NamedTuple):
 
     def agrees(self, other: Row) -> bool:
         """Whether status and estimates, to 6 digits as across machines, are those of another."""
-        mine, theirs = json.loads(self.body), json.loads(other.body)
+        mine, theirs = self.values, other.values
         names = [f"est_{name}" for name in PARAMETERS]
         near = (math.isclose(mine.get(n, 0.0), theirs.get(n, 0.0), rel_tol=1e-6) for n in names)
-        return self.status == other.status and all(near)
+        return mine["status"] == theirs["status"] and all(near)
 
 
 @dataclass
@@ -124,8 +132,9 @@ class Store:
         status, version = np.full((2, *plan.shape), "", object)
         store = cls(folder, plan, same, status, version)
         for row in store._every(brief=True):
-            place = None if row is None else plan.place_of.get(row.case_id)
-            if row is None:
+            values = row.values if row else {}
+            place = plan.place_of.get(row.case_id) if row else None
+            if row is None or values.get("status") not in STATUSES:
                 store.damaged += 1
             elif place is None:
                 store.unplanned += 1
@@ -133,8 +142,8 @@ class Store:
                 words = "take it from where it came, or leave it out"
                 raise InputError(f"{folder}: has two rows of case {row.case_id}: {words}")
             else:
-                store.status.flat[place] = row.status
-                store.version.flat[place] = row.version or "unknown"
+                store.status.flat[place] = values["status"]
+                store.version.flat[place] = values.get("version", "unknown")
         if store.unplanned and not store.done.any():
             which = f" (hash {str(made['study_hash'])[:12]})" if made and not same else ""
             raise InputError(
@@ -188,8 +197,8 @@ class Store:
         """Write the row of an outcome, by this version, in the place of an earlier one."""
         case = outcome.unit, outcome.cell
         case_id = self.plan.case_ids[outcome.unit * self.plan.shape[1] + outcome.cell]
-        content = (outcome.status, outcome.reason, version, body_of(outcome.values))
-        self.put_row(Row(case_id, *content))
+        ended = {"status": outcome.status, "reason": outcome.reason, "version": version}
+        self.put_row(Row.of(case_id, {**outcome.values, **ended}))
         self.status[case], self.version[case] = outcome.status, version
 
     def put_row(self, row: Row) -> None:
@@ -210,17 +219,18 @@ class Store:
             self.base.execute("BEGIN")  # the first time, the table appears with its rows
             self.base.execute(SCHEMA)
             rows = [(*row, row.crc) for row in self.pending]
-            self.base.executemany("INSERT OR REPLACE INTO cases VALUES (?, ?, ?, ?, ?, ?)", rows)
+            self.base.executemany("INSERT OR REPLACE INTO cases VALUES (?, ?, ?)", rows)
         self.pending, self.synced = [], time.monotonic()
 
     def rows(self) -> list[Row]:
         """The undamaged rows of planned cases, in plan order."""
         rows = {row.case_id: row for row in self._every() if row}
-        return [rows[case_id] for case_id in self.plan.case_ids if case_id in rows]
+        done = zip(self.plan.case_ids, self.done.flat, strict=True)
+        return [rows[case_id] for case_id, has_row in done if has_row and case_id in rows]
 
     def _every(self, *, brief: bool = False) -> Iterator[Row | None]:
         """Every row of `cases.sqlite` or, without that, of `cases.parquet`; None for a row whose
-        checksum or status is wrong. brief: exported rows without their bodies.
+        checksum is wrong. brief: exported rows with status and version alone.
         """
         path = self.folder / STORE
         self.exported = not is_regular(path)
@@ -229,33 +239,21 @@ class Store:
             with _telling(path), closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as base:
                 base.text_factory = bytes
                 if base.execute("SELECT 1 FROM sqlite_master WHERE name = 'cases'").fetchone():
-                    every = base.execute(
-                        "SELECT case_id, status, reason, version, body, crc FROM cases"
-                    )
-                    for *content, crc in every:
+                    for *content, crc in base.execute("SELECT case_id, body, crc FROM cases"):
                         # In a damaged file they may be of any type.
                         texts = set(map(type, content)) == {bytes}
                         whole = texts and crc32(b"\0".join(content)) == crc
-                        row = Row(*map(bytes.decode, content)) if whole else None
-                        yield row if row and row.status in STATUSES else None
+                        yield Row(*map(bytes.decode, content)) if whole else None
                     return
             self.exported = True
         if is_regular(self.folder / CASES):
-            yield from self._exported(brief)
-
-    def _exported(self, brief: bool) -> Iterator[Row | None]:
-        """The rows of `cases.parquet`."""
-        with parquet(self.folder / CASES) as file:
-            there = set(file.schema_arrow.names)
-            own = [name for name in kinds_of(self.plan.stored)
-                   if name in there.difference(self.plan.columns, ENDED) and not brief]  # fmt: skip
-            names = ("case_id", *ENDED)
-            for batch in file.iter_batches(batch_size=BATCH, columns=[*names, *own]):
-                facts = (batch[name].to_pylist() for name in names)
-                bodies = repeat("") if brief else map(body_of, batch.select(own).to_pylist())
-                for case_id, status, reason, version, body in zip(*facts, bodies, strict=False):
-                    row = Row(case_id, status, reason or "", version or "", body)
-                    yield row if status in STATUSES else None
+            with parquet(self.folder / CASES) as file:
+                there = set(file.schema_arrow.names).difference(self.plan.columns)
+                wanted = ("status", "version") if brief else kinds_of(self.plan.stored)
+                own = [name for name in wanted if name in there]
+                for batch in file.iter_batches(batch_size=BATCH, columns=["case_id", *own]):
+                    ids, values = batch["case_id"].to_pylist(), batch.select(own).to_pylist()
+                    yield from map(Row.of, ids, values)
 
     def export(self, content: Mapping[str, object]) -> None:
         """Write `cases.parquet`, in plan order, whole or not at all, then its manifest.
@@ -350,7 +348,7 @@ def parquet(path: Path) -> Iterator[Any]:
                 words = f"{facts.num_rows} rows of {size} bytes"
                 raise InputError(f"{path}: {words}: it is another file")
             there = [(column.name, _content(str(column.type))) for column in schema]
-            needed = {"case_id", "backend", "settings", *ENDED}
+            needed = {"case_id", "backend", "settings", "status", "reason", "version"}
             for name, kind in kinds_of((*PROBLEM_COLUMNS, *FLIGHT_COLUMNS)).items():
                 own = [content for other, content in there if other == name]
                 if own != [_content(kind.arrow)] and (own or name in needed):
@@ -387,19 +385,15 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     import pyarrow as pa
 
     places = [plan.place_of[row.case_id] for row in rows]
-    types = {column.name: pa.type_for_alias(column.kind.arrow) for column in plan.stored}
-    own = types.keys() - {*ENDED, *plan.columns}
-    bodies = pa.array([json.loads(row.body) for row in rows], pa.struct({n: types[n] for n in own}))
-    arrays: dict[str, Any] = {}
-    for column in plan.stored:
-        name = column.name
-        if name in own:
-            arrays[name] = bodies.field(name).fill_null(column.kind.empty)
-        elif name in ENDED:
-            arrays[name] = pa.array([getattr(row, name) for row in rows], types[name])
+    kinds, arrays = kinds_of(plan.stored), dict[str, Any]()
+    types = {name: pa.type_for_alias(kind.arrow) for name, kind in kinds.items()}
+    own = pa.struct({name: types[name] for name in types if name not in plan.columns})
+    bodies = pa.array([row.values for row in rows], own)
+    for name, kind in kinds.items():
+        if name in plan.columns:
+            arrays[name] = pa.array([plan.columns[name][at] for at in places], types[name])
         else:
-            values = [plan.columns[name][place] for place in places]
-            arrays[name] = pa.array(values, types[name])
+            arrays[name] = bodies.field(name).fill_null(kind.empty)
     swept: Mapping[str, Any] = getattr(plan, "sweep", {})
     for key, levels in swept.items():
         kind_ = pa.float64() if all(map(is_real, levels)) else pa.string()
