@@ -210,7 +210,7 @@ def drawn(grid: Sequence[Sequence[Panel]], height: float,
             is_alike = is_first or row[at - 1].y_range != panel.y_range
             axes.tick_params(labelbottom=is_last or panel.x_range is not None, labelleft=is_alike)
             is_under = place and grid[place - 1][at].title == panel.title
-            axes.set_title("" if is_under else panel.title)
+            axes.set_title("" if is_under else wrapped(panel.title, letters))
     style.legend(figure, [axes for row in axes_grid for axes in row])
     return figure
 
