@@ -1,7 +1,7 @@
 """Types of the arrays in signatures, checks of arrays, and records that print their shapes."""
 
 from dataclasses import fields, is_dataclass
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ Array: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ComplexArray: TypeAlias = NDArray[np.complex128]
 IntArray: TypeAlias = NDArray[np.intp]  # indices, labels
+Record = TypeVar("Record")
 
 
 def box(places: Array) -> tuple[Array, Array]:
@@ -44,6 +45,13 @@ def frozen(name: str, given: object, shape: tuple[str | int, ...]) -> Array:
         raise InputError(f"{name} must be finite: {place} is {value}; drop or repair that row")
     array.flags.writeable = False
     return array
+
+
+def like(record: Record, **changes: Any) -> Record:
+    """The record with these fields instead, of which nothing is checked: a fifth of the time."""
+    new = object.__new__(type(record))
+    vars(new).update(vars(record), **changes)
+    return new
 
 
 class Brief:

@@ -48,7 +48,6 @@ Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), section
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -160,40 +159,36 @@ class DualPoint:
             parts = (part.sum(axis=1, keepdims=True) for part in (square, product, loose, off))
             square, product, loose, off = parts
             peaks, raised = (part.max(axis=1, keepdims=True) for part in (peaks, raised))
-        longer = square * (1.0 + self.gamma) + loose
-        longer = longer if isinstance(penalty.loss, RootSquares) else square  # a limit of s there
-
-        def largest(peaks: Array, limiting: Array, certain: bool) -> Array:
-            """D at the best s with s * peaks <= alpha, less its error where ``certain``."""
-            with np.errstate(divide="ignore", invalid="ignore"):
-                limit = np.where(peaks > 0, alphas[:, None] / peaks, np.inf)
-            limits = [limit]
+        # As computed, and certain: less its error.
+        peaks, certain = np.stack([peaks, raised * (1.0 + self.gamma)]), np.array([0.0, 1.0])
+        certain, limiting = certain[:, None, None], square
+        if isinstance(penalty.loss, RootSquares):  # a limit of s there
+            limiting = square + certain * (self.gamma * square + loose)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            limits = [np.where(peaks > 0, alphas[:, None] / peaks, np.inf)]
+        if penalty.is_bounded:
+            limits += [np.minimum(limits[0], share) for share in SHARES]
+        values = []
+        for limit in limits:
+            s = penalty.loss.factor(limiting, product, limit, level)
+            size = np.abs(s)
+            lost = size * off + 0.5 * s**2 * loose
+            lost += self.gamma * (4.0 * size * np.abs(product) + 0.5 * s**2 * square)
+            value = penalty.loss.dual(s, square, product) - certain * lost
             if penalty.is_bounded:
-                limits += [np.minimum(limit, share) for share in SHARES]
-            values = []
-            for most in limits:
-                s = penalty.loss.factor(limiting, product, most, level)
-                size, value = np.abs(s), penalty.loss.dual(s, square, product)
-                if penalty.is_bounded:
-                    point, error = s[:, None] * self.correlation, certain * (size * wider)
-                    beyond = penalty.beyond(point, alphas[:, None, None], error[:, None])
-                    beyond = beyond.sum(axis=1, keepdims=True) if penalty.coupled else beyond
-                    value = value - beyond * (1.0 + certain * self.gamma)
-                if certain:
-                    value = value - size * off - 0.5 * s**2 * loose
-                    value -= self.gamma * (4.0 * size * np.abs(product) + 0.5 * s**2 * square)
-                values.append(value)
-            best: Array = np.max(values, axis=0).sum(axis=1)
-            return best
-
-        dual = largest(peaks, square, False)
-        return dual, largest(raised * (1.0 + self.gamma), longer, True)
+                point, error = s[:, :, None] * self.correlation, certain * (size * wider)
+                beyond = penalty.beyond(point, alphas[:, None, None], error[:, :, None])
+                beyond = beyond.sum(axis=-1, keepdims=True) if penalty.coupled else beyond
+                value -= beyond * (1.0 + certain * self.gamma)
+            values.append(value)
+        dual, least = np.max(values, axis=0).sum(axis=-1)
+        return dual, least
 
 
 def duality_gaps(
     design: Design,
     target: Array,
-    weights: Sequence[Array],
+    weights: Array,
     alphas: Array,
     penalty: Penalty,
     cross: Array | None = None,
@@ -205,24 +200,23 @@ def duality_gaps(
     ``enough``; what has no such bound is certified by the rows.
     """
     # Columns are the last axis in memory: numpy is slow where that has few entries.
-    scaled = np.array([each.T for each in weights], order="C")
-    scaled *= design.rms
+    scaled = np.multiply(np.swapaxes(weights, 1, 2), design.rms, order="C")
     scaled, size = scaled.transpose(0, 2, 1), target.shape[1] * max(design.shape)
     entries = 2**19 if design.kind == "sparse" else 2**22  # whose sums are no matrix products
-    rest, step, certificates = list(range(len(weights))), max(entries // size, 1), {}
+    rest, step = np.arange(len(weights)), max(entries // size, 1)
+    gaps = np.empty((4, len(weights)))
     if cross is not None and penalty.loss == SQUARES and "gram" in vars(design):
-        certificates = dict(enumerate(_gaps(design, (target, cross), scaled, alphas, penalty)))
-        rest = [i for i, each in certificates.items() if not each.bound <= enough]
+        gaps[:] = _gaps(design, (target, cross), scaled, alphas, penalty)
+        rest = np.flatnonzero(~(gaps[0] + gaps[3] <= enough))
     for part in (rest[start : start + step] for start in range(0, len(rest), step)):
-        by_rows = _gaps(design, (target, None), scaled[part], alphas[part], penalty)
-        certificates |= dict(zip(part, by_rows, strict=True))
-    return tuple(certificates[i] for i in range(len(weights)))
+        gaps[:, part] = _gaps(design, (target, None), scaled[part], alphas[part], penalty)
+    return tuple(Certificate("duality_gap", *row) for row in gaps.T.tolist())
 
 
 def _gaps(
     design: Design, data: tuple[Array, Array | None], scaled: Array, alphas: Array, penalty: Penalty
-) -> list[Certificate]:
-    """Certificates of V = ``scaled`` (p, k, n): P, D, the gap and its rounding error.
+) -> tuple[Array, Array, Array, Array]:
+    """The gap, P, D and the rounding error (p,) of the gap of V = ``scaled`` (p, k, n).
 
     data: Y (m, n) with B (k, n), by which and Z'Z they are computed; without it, by the rows.
     """
@@ -268,9 +262,7 @@ def _gaps(
     gap = np.abs(primal - dual) / whole  # D above P: the penalty's parts are at odds
     most = (primal - least + doubt) / whole * (1.0 + 2.0 * gamma)
     with np.errstate(invalid="ignore"):  # of weights beyond their bounds, P is infinite
-        parts = gap, primal, dual, np.maximum(most - gap, 0.0)
-    rows = zip(*(part.tolist() for part in parts), strict=True)
-    return [Certificate("duality_gap", *row) for row in rows]
+        return gap, primal, dual, np.maximum(most - gap, 0.0)
 
 
 def _clipped(

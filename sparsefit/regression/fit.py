@@ -8,12 +8,13 @@ another package is trusted, but what it returns is validated.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import compress
 from time import perf_counter
 from typing import Any, get_args
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, like
 from sparsefit.errors import InputError, number_setting, shown
 from sparsefit.regression.answer import Fit, Path
 from sparsefit.regression.backend import (
@@ -85,10 +86,7 @@ def points_of(backend: Any, fractions: Sequence[float]) -> list[Any]:
     """The back-end at each penalty fraction in (0, 1]; itself where there are none."""
     if not isinstance(backend, Checked):
         return [replace(backend, alpha_fraction=each) for each in fractions] or [backend]
-    points = [object.__new__(type(backend)) for _ in fractions]
-    for point, fraction in zip(points, fractions, strict=True):
-        vars(point).update(vars(backend), alpha_fraction=fraction)  # the rest was checked
-    return points or [backend]
+    return [like(backend, alpha_fraction=each) for each in fractions] or [backend]
 
 
 def solutions_of(
@@ -160,18 +158,22 @@ def certificates_of(
     points: a back-end at p penalties, strongest first, or alone. enough: the duality gap, with its
     rounding error, that need not be computed from the rows where Z'Z gives it.
     """
-    solved = {i: w for i, w in enumerate(weights) if w is not None and np.isfinite(w).all()}
+    given = [i for i, each in enumerate(weights) if each is not None]
+    values = np.array([weights[i] for i in given])
+    finite = np.isfinite(values).all(axis=(1, 2)) if given else np.zeros(0, bool)
+    solved = list(compress(given, finite))
     kind, certificates = points[0].certificate_kind, dict[int, Certificate]()
+    values = values[finite]
     if kind == "duality_gap" and solved:
         penalty = points[0].penalty(problem)
         alphas = problem.alpha_max(penalty) * np.array([points[i].alpha_fraction for i in solved])
-        values = list(solved.values())
         design, cross = problem.design, problem.cross
         gaps = duality_gaps(design, problem.target, values, alphas, penalty, cross, enough)
         certificates = dict(zip(solved, gaps, strict=True))
     elif kind != "duality_gap":
         proof = _normal_equations if kind == "normal_equations" else _fixed_point
-        certificates = {i: proof(problem, points[i], solved[i]) for i in solved}
+        pairs = zip(solved, values, strict=True)
+        certificates = {i: proof(problem, points[i], each) for i, each in pairs}
     return [certificates.get(i) for i in range(len(points))]
 
 

@@ -115,14 +115,14 @@ class Squares:
         return total
 
     def factor(self, square: Array, product: Array, limit: Array, level: Array) -> Array:
-        """The s (p, n), or (p, 1), that maximises D where |s| <= limit."""
+        """The s (..., p, n), or (..., p, 1), that maximises D where |s| <= limit."""
         most = limit if np.isinf(self.clip) else np.minimum(limit, 1.0)
         with np.errstate(divide="ignore", invalid="ignore"):
             best = np.where(square > 0, product / square, 0.0)
         return np.clip(best, -most, most)
 
     def dual(self, s: Array, square: Array, product: Array) -> Array:
-        """D by target (p, n) at s."""
+        """D by target (..., p, n) at s."""
         return s * product - 0.5 * s**2 * square
 
 
@@ -142,8 +142,8 @@ class RootSquares(Squares):
 
     def factor(self, square: Array, product: Array, limit: Array, level: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
-            reach = np.sqrt(np.sum(level**2)) / np.sqrt(square.sum(axis=1, keepdims=True))
-        least = np.minimum(limit.min(axis=1, keepdims=True), reach)
+            reach = np.sqrt(np.sum(level**2)) / np.sqrt(square.sum(axis=-1, keepdims=True))
+        least = np.minimum(limit.min(axis=-1, keepdims=True), reach)
         return np.where(np.isfinite(least), least, 0.0)  # a target of zero, too
 
     def dual(self, s: Array, square: Array, product: Array) -> Array:

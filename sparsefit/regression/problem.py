@@ -132,8 +132,8 @@ class RegressionProblem(Brief):
         source, values = _source(theta), _matrix(target, "target")
         columns, inner = int(source.shape[1]), None
         named = _labels(theta, columns) if names is None else names
-        listed = isinstance(named, Iterable) and not isinstance(named, str)
-        if not listed or len(labels := tuple(map(str, named))) != columns:
+        listed = isinstance(named, Iterable) and getattr(named, "ndim", 1) == 1
+        if not listed or isinstance(named, str) or len(labels := tuple(map(str, named))) != columns:
             raise InputError(f"names must be a list with one name per column, {columns} of them")
         numbers = np.arange(columns) if groups is None else _numbers(groups, labels, "groups")
         if subgroups is not None:
@@ -295,8 +295,9 @@ def _row_factors(
     None without them. The intercept's column times the roots is sqrt(m) times the direction.
     """
     roots = None if weight is None else np.sqrt(weight / weight.mean())
-    direction = (np.ones(count) if roots is None else roots) / np.sqrt(count)
-    return roots, direction if intercept else None
+    if not intercept:
+        return roots, None
+    return roots, (np.ones(count) if roots is None else roots) / np.sqrt(count)
 
 
 def _adjusted(raw: Array, weight: Array | None, intercept: bool) -> dict[str, Any]:

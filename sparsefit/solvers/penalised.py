@@ -14,7 +14,7 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
+from sparsefit.arrays import Array, IntArray, like
 from sparsefit.errors import one_of
 from sparsefit.regression.backend import (
     AlphaFraction,
@@ -88,11 +88,12 @@ class PenalisedPath(Checked, ABC):
         weights = path.weights / problem.design.rms[:, None]
         # The certificate judges points where rounding prevents the solver's own stop.
         words = "the path is incomplete at this penalty"
+        solved = Solution(None, solver_status=path.words)
+        cut_short = replace(solved, status="inaccurate", reason=words)
+        points = zip(weights, path.complete.tolist(), path.steps.tolist(), strict=True)
         return tuple(
-            Solution(values, "ok", "", path.words, int(count))
-            if done
-            else Solution(values, "inaccurate", words, path.words, int(count))
-            for values, done, count in zip(weights, path.complete, path.steps, strict=True)
+            like(solved if complete else cut_short, weights=values, iterations=count)
+            for values, complete, count in points
         )
 
     def referee(self) -> Self | None:
