@@ -11,8 +11,8 @@ convex and once differentiable. With the derivative of the prox, N N', Newton's 
 
     d = (I + s N N'G)^-1 F = F - s N (I + s N'G N)^-1 N'G F,
 
-of the size of what is in use, and halved until psi falls; where rows are fewer than that, the
-inverse is taken in rows, L = Z N/sqrt(m):  (I + s L'L)^-1 = I - s L'(I + s L L')^-1 L. Proximal
+of the size of what is in use, and halved until psi falls; where the rows of all targets are fewer,
+the inverse is taken in rows, L = Z N/sqrt(m):  (I + s L'L)^-1 = I - s L'(I + s L L')^-1 L. Proximal
 points with growing steps converge faster than linearly, for polyhedral norms in finitely many; the
 duality gap is the stop. Targets have |Y|^2/m = 1.
 
@@ -121,8 +121,11 @@ class Columns:
     def solved(self, on: IntArray, factor: Any, pull: Array, step: float, targets: int) -> Array:
         """s N (I + s N'G N)^-1 N' pull (c,) on the coefficients ``on`` (c,), flat in (j, q)."""
         right = pull if factor is None else factor.T @ pull
-        if targets == 1 and self.rows is not None and len(right) > self.rows.shape[0]:
-            tall = self._dense(on) * np.sqrt(step / self.samples)
+        if self.rows is not None and len(right) > targets * self.rows.shape[0]:
+            column, target = np.divmod(on, targets)
+            apart = np.zeros((len(on), targets, self.rows.shape[0]))  # each target has rows
+            apart[np.arange(len(on)), target] = self._dense(column).T
+            tall = apart.reshape(len(on), -1).T * np.sqrt(step / self.samples)
             tall = tall if factor is None else (factor.T @ tall.T).T
             outer = tall @ tall.T
             outer.flat[:: len(outer) + 1] += 1.0
