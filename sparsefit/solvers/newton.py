@@ -21,7 +21,7 @@ semismooth Newton augmented Lagrangian method for solving Lasso problems", SIAM 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -304,6 +304,8 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     With the columns summed over each cluster, Z_C (m, d), their levels x at the optimum solve
     Z_C'Z_C/m x = Z_C'Y/m - alpha lambda_C. Returns V, and whether two clusters met.
     """
+    from scipy.sparse import csc_array  # who reads an estimator need not wait for it
+
     assert isinstance(on.penalty, SortedNorm)
     size = np.abs(values[:, 0])
     order = np.argsort(-size, kind="stable")[: np.count_nonzero(size)]
@@ -315,21 +317,24 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     right = np.add.reduceat(sign * on.cross[order, 0] - price, first)
     shift, sign = SHIFT * counts[:, None], sign[:, None]
 
-    def times(x: Array) -> Array:
-        """Z_C'Z_C/m x (d, c), and a little more."""
-        whole = np.zeros((len(values), x.shape[1]))
-        whole[order] = sign * np.repeat(x, counts, axis=0)
-        return np.asarray(np.add.reduceat(sign * on.times(whole)[order], first) + shift * x)
-
     if on.gram is not None:
         square = on.gram.take(order, 0).take(order, 1) * (sign * sign.T)
         square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
         square.flat[:: len(square) + 1] += shift[:, 0]
         levels = definite(square, right)
-    elif len(first) <= CLUSTERS:
-        levels = definite(times(np.eye(len(first))), right)
     else:
-        levels = by_gradients(times, right[:, None], size[first, None], most=STEPS)[0][:, 0]
+        assert on.rows is not None
+        which = order, np.repeat(np.arange(len(first)), counts)
+        joined = csc_array((sign[:, 0], which), shape=(len(values), len(first)))
+        sums = replace(on, rows=on.rows @ joined)  # Z_C
+
+        def times(x: Array) -> Array:
+            return sums.times(x) + shift * x
+
+        if len(first) <= CLUSTERS:
+            levels = definite(times(np.eye(len(first))), right)
+        else:
+            levels = by_gradients(times, right[:, None], size[first, None], most=STEPS)[0][:, 0]
     if levels is None:
         return values, False
     # Of each cluster above the next smaller one, from the smallest.
