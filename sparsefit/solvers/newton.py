@@ -324,8 +324,8 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
         levels = definite(square, right)
     else:
         assert on.rows is not None
-        which = order, np.repeat(np.arange(len(first)), counts)
-        joined = csc_array((sign[:, 0], which), shape=(len(values), len(first)))
+        columns = sign[:, 0], order, np.append(first, len(order))
+        joined = csc_array(columns, shape=(len(values), len(first)))
         sums = replace(on, rows=on.rows @ joined)  # Z_C
 
         def times(x: Array) -> Array:
