@@ -203,8 +203,7 @@ def duality_gaps(
     scaled = np.multiply(np.swapaxes(weights, 1, 2), design.rms, order="C")
     scaled, size = scaled.transpose(0, 2, 1), target.shape[1] * max(design.shape)
     entries = 2**19 if design.kind == "sparse" else 2**22  # whose sums are no matrix products
-    rest, step = np.arange(len(weights)), max(entries // size, 1)
-    gaps = np.empty((4, len(weights)))
+    step, rest, gaps = max(entries // size, 1), np.arange(len(weights)), np.empty((4, len(weights)))
     if cross is not None and penalty.loss == SQUARES and "gram" in vars(design):
         gaps[:] = _gaps(design, (target, cross), scaled, alphas, penalty)
         rest = np.flatnonzero(~(gaps[0] + gaps[3] <= enough))

@@ -84,9 +84,8 @@ def path(
 
 def points_of(backend: Any, fractions: Sequence[float]) -> list[Any]:
     """The back-end at each penalty fraction in (0, 1]; itself where there are none."""
-    if not isinstance(backend, Checked):
-        return [replace(backend, alpha_fraction=each) for each in fractions] or [backend]
-    return [like(backend, alpha_fraction=each) for each in fractions] or [backend]
+    made = like if isinstance(backend, Checked) else replace  # the rest was checked
+    return [made(backend, alpha_fraction=each) for each in fractions] or [backend]
 
 
 def solutions_of(
@@ -115,8 +114,8 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
         raise InputError(f"back-end {backend.name!r} returned {words}")
     solutions = [_received(solution, backend, problem) for solution in raw]
     problem.refuse_changes()
-    weights, enough = [each.weights for each in solutions], PROVEN * tolerance
-    certificates = certificates_of(problem, points, weights, enough)
+    weights = [each.weights for each in solutions]
+    certificates = certificates_of(problem, points, weights, PROVEN * tolerance)
     fits = [
         _judged(problem, *parts, seconds, tolerance)
         for parts in zip(points, solutions, certificates, strict=True)
@@ -143,8 +142,7 @@ def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> So
         raise InputError(f"{where} weights that are no array of real numbers") from None
     if weights.shape != (right := (problem.columns, problem.targets)):
         raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
-    same = weights is solution.weights
-    return solution if same else replace(solution, weights=weights)
+    return solution if weights is solution.weights else replace(solution, weights=weights)
 
 
 def certificates_of(

@@ -123,9 +123,11 @@ class Columns:
         right = pull if factor is None else factor.T @ pull
         if self.rows is not None and len(right) > targets * self.rows.shape[0]:
             column, target = np.divmod(on, targets)
-            apart = np.zeros((len(on), targets, self.rows.shape[0]))  # each target has rows
-            apart[np.arange(len(on)), target] = self._dense(column).T
-            tall = apart.reshape(len(on), -1).T * np.sqrt(step / self.samples)
+            tall = self._dense(column) * np.sqrt(step / self.samples)
+            if targets > 1:  # each has rows of its own
+                apart = np.zeros((len(on), targets, len(tall)))
+                apart[np.arange(len(on)), target] = tall.T
+                tall = apart.reshape(len(on), -1).T
             tall = tall if factor is None else (factor.T @ tall.T).T
             outer = tall @ tall.T
             outer.flat[:: len(outer) + 1] += 1.0
