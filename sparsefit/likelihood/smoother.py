@@ -20,7 +20,7 @@ import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.likelihood.model import LEVELS
-from sparsefit.likelihood.nodes import Nodes, Smoothed
+from sparsefit.likelihood.nodes import Smoothed
 from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
 
@@ -209,16 +209,14 @@ def climbed(
     step, smoothed, _ = best
     if step.blind and not reason:
         *others, final = step.blind
-        reason = f"the log cannot tell {', '.join(others)} from {final}" if others else (
-            f"the log does not see {final}"
-        )  # fmt: skip
+        words = f"cannot tell {', '.join(others)} from" if others else "does not see"
+        reason = f"the log {words} {final}"
     return step.moved(smoothed), step, reason
 
 
 def _gated(leg: Leg, smoothed: Smoothed) -> bool:
     """Set the weights of outliers to 0 and of other readings to 1; True if a weight changed."""
-    nodes: Nodes = leg.nodes
-    far = np.abs(smoothed.scores[:, 4:8])
+    nodes, far = leg.nodes, np.abs(smoothed.scores[:, 4:8])
     if not far.max() > GATE and ((nodes.weights > 0.0) == nodes.seen).all():
         return False
     if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: there is no model yet
@@ -276,8 +274,7 @@ class LevelSteps:
         slope = np.where(instruments, 1.0, 0.4)
         if before is not None:
             away = place - before[0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                secant = np.clip((before[1] - ratio) / away, 0.2, 1.0)
+            secant = np.clip((before[1] - ratio) / np.where(away, away, 1.0), 0.2, 1.0)
             slope = np.where(np.abs(away) > 0.05, secant, slope)
         step[active] = np.clip(ratio / slope, -math.log(100.0), math.log(10.0))[active]
         counted = moving if self.count >= self.hold else active
