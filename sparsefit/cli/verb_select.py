@@ -93,7 +93,7 @@ def run(args: argparse.Namespace) -> Reply:
 
 
 def _ran(study: Study, args: argparse.Namespace) -> Study:
-    """A part of a study, run; cases that are there are not run again."""
+    """A part of a study, run; cases that this version of the code has run are not run again."""
     with Progress() as progress:
-        study.run(processes=args.processes, progress=progress)
+        study.run(processes=args.processes, stale=True, progress=progress)
     return study
