@@ -80,9 +80,11 @@ class Row(NamedTuple):
 
     @property
     def values(self) -> dict[str, Any]:
-        """The columns that are not planned, empty ones left out."""
-        content: dict[str, Any] = json.loads(self.body)
-        return content
+        """The columns that are not planned, empty ones left out; none of a forged body."""
+        with suppress(ValueError):
+            if isinstance(content := json.loads(self.body), dict):
+                return content
+        return {}
 
     @property
     def crc(self) -> int:
@@ -388,7 +390,11 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     kinds, arrays = kinds_of(plan.stored), dict[str, Any]()
     types = {name: pa.type_for_alias(kind.arrow) for name, kind in kinds.items()}
     own = pa.struct({name: types[name] for name in types if name not in plan.columns})
-    bodies = pa.array([row.values for row in rows], own)
+    try:
+        bodies = pa.array([row.values for row in rows], own)
+    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+        words = f"a row has a value of another type ({error}): study run --fresh starts over"
+        raise InputError(f"{STORE}: {words}") from None
     for name, kind in kinds.items():
         if name in plan.columns:
             arrays[name] = pa.array([plan.columns[name][at] for at in places], types[name])
