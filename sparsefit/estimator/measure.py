@@ -40,7 +40,6 @@ from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern, paired
 from sparsefit.likelihood.posterior import Posterior
 from sparsefit.model import Proposal
-from sparsefit.model.ladder import proposed_at
 from sparsefit.model.shapes import flows_of, read_cells
 
 WORSE = 3.0  # times the least RSS of the rows: a proposal that leaves more is not measured
@@ -53,7 +52,6 @@ SLIGHT = 1e-3  # the largest relative change of U0 and L by a cause that is free
 FALSE_ALARM = 1e-3  # probability of a flow in a flight without one, over all lobes
 EXPLAINED = 0.9  # of the air's variance: a flow that explains more in white innovations is there
 HIDDEN = 500.0  # of 2 ln(likelihood ratio), that a wrong vehicle may hide of a flow
-CELLS = ("length_scales", "heading")
 MOSTLY = 0.5  # of the variance of the air that waves explain, whatever a vehicle hides of them
 
 
@@ -124,10 +122,8 @@ class Measured:
         pattern, least = posterior.model.pattern, min(own.bic for own in self.proposals)
         flow = WaveFlow(waves[:, :2], *waves.T[2:])
         uniform = tuple(posterior.value(name) for name in WIND)
-        parts: dict[str, Any] = {
-            name: getattr(first, name)
-            for name in ("mean_velocity", "length_scale", "timescale", "uncertainty")
-        }
+        names = ("mean_velocity", "length_scale", "timescale", "uncertainty")
+        parts: dict[str, Any] = {name: getattr(first, name) for name in names}
         parts |= {"grid_length_scale": first.grid_length_scale} if several else {}
         parts |= {"rival_length_scale": self.rival.cells.length_scale} if self.rival else {}
         parts |= {
@@ -143,9 +139,10 @@ class Measured:
             ),
         }
         if len(waves) > 1:
-            values, errors = max(self.flows, key=lambda own: float(own[0][0]))
-            cells = dict(zip(CELLS, [tuple(values[3:5].tolist()), float(values[5])], strict=True))
-            sure = dict(zip(CELLS, [tuple(errors[3:5].tolist()), float(errors[5])], strict=True))
+            cells, sure = (
+                {"length_scales": tuple(own[3:5].tolist()), "heading": float(own[5])}
+                for own in max(self.flows, key=lambda flow: float(flow[0][0]))
+            )
             if pattern.drifting:
                 cells["drift"] = pattern.drift
                 sure["drift"] = posterior.error("drift_x"), posterior.error("drift_y")
@@ -153,8 +150,7 @@ class Measured:
             parts |= {"drift": (0.0, 0.0)} | cells | {"shape_uncertainty": uncertainty}
         own = [flight_fields(posterior, *each) for each in enumerate(prepared.vehicles)]
         if len(own) == 1:
-            parts |= own[0]
-            return parts
+            return parts | own[0]
         noises = np.array([model.disturbance.velocity_noise for model in posterior.models])
         noises /= math.sqrt(float(np.mean(noises**2))) or 1.0
         flights = zip(prepared.parts, noises.tolist(), self.goodness.flights, own, strict=True)
@@ -228,7 +224,7 @@ def measure_flow(
         # An optimum that left its proposal is one of its own where the rows do not exclude it.
         if not there.model.pattern.is_near(proposal.wavevectors, near):
             phases = there.model.pattern.waves[:, [0, 1, 4]]
-            proposal = proposed_at(prepared.search, proposal, phases) or proposal
+            proposal = prepared.search.proposed_at(proposal, phases) or proposal
         if there.model.pattern.is_near(proposal.wavevectors, near):
             starts.append((_loose(there), there, proposal))
     if not starts:

@@ -20,28 +20,23 @@ from functools import partial
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.model.library import Pair, read_vehicles
 from sparsefit.model.scan import WaveScan
-from sparsefit.model.search import EXACT, Search, spectrum
+from sparsefit.model.search import CLOSE, EXACT, Proposal, Search, spectrum
 from sparsefit.model.shapes import (
     AXIS,
     PAIR,
     RECTANGLE,
     SQUARE,
+    STAND,
     Shape,
     ShapeFit,
-    WaveCells,
     axis_cells,
     descended,
     fitted,
     free_waves,
     joined,
-    read_cells,
 )
 
-CLOSE = 10.0  # difference of BIC to the best: a rival
-STAND = (AXIS, SQUARE, RECTANGLE)  # steady cells, the simplest first
 Window = tuple[float, float, float]  # a candidate's wavenumber and the bounds around it [1/m]
 
 
@@ -53,31 +48,6 @@ class Start:
     lobe: float = 0.0  # the scan's wavenumber [1/m] nearest to a candidate scale; 0: none
     windows: tuple[Window, ...] = ()  # of several length scales, strongest first
     waves: tuple[tuple[float, float], ...] = ()  # k [rad/m] of a wave library, strongest first
-
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """A flow fitted to the rows: psi = sum a cos(phi) + b sin(phi), phi = k.(x - c t)."""
-
-    shape: str  # axis, square, rectangle, pair or several
-    wavevectors: Array  # k (j, 2) [rad/m]
-    cosine: Array  # a (j,) [m^2/s], in the flight's own coordinates and time
-    sine: Array  # b (j,) [m^2/s]
-    velocity: Pair | None  # c [m/s]; None: steady
-    residual: float  # RSS of the rows over |Phi|^2
-    bic: float  # n ln RSS + p ln n
-    vehicles: tuple[PointMassVehicle, ...]  # of each flight, its unknowns as fitted
-    background: Pair = (0.0, 0.0)  # velocity of the air beside the flow [m/s]
-
-    def lobe(self, extent: float) -> tuple[str, bytes]:
-        """A key that is equal for proposals whose phases agree to about 1e-6 over an extent [m]."""
-        phases = np.append(self.wavevectors * extent, self.velocity or ())
-        return self.shape, (np.round(phases, 6) + 0.0).tobytes()
-
-    @property
-    def cells(self) -> WaveCells:
-        """The cells of these waves: mean velocity U0 [m/s], length scale L [m] and shape."""
-        return read_cells(self.wavevectors, np.column_stack([self.cosine, self.sine]))
 
 
 class Ladder:
@@ -322,29 +292,4 @@ def propose(search: Search, start: Start) -> tuple[Proposal, ...]:
             ladder.join(np.array(start.waves))
     if not ladder.tried:
         return ()
-    return tuple(_proposal(search, fit, bic) for fit, bic in ladder.ranked())
-
-
-def proposed_at(search: Search, other: Proposal, phases: Array) -> Proposal | None:
-    """The proposal of waves (k_x, k_y, omega) (j, 3) in the shape of another proposal.
-
-    None if the rows exclude it: if its residual is larger by `CLOSE` of BIC, or it is no flow.
-    """
-    named = {own.name: own for own in (*STAND, PAIR)}
-    shape = named.get(other.shape, free_waves(len(phases)))
-    shape = shape.moving if other.velocity else shape
-    fit = fitted(search.rows, shape, shape.nearest(phases))
-    most = other.residual * search.rows.square * math.exp(CLOSE / search.worth)
-    near = fit.residual <= most and search.possible(fit)
-    return _proposal(search, fit, search.bic(fit)) if near else None
-
-
-def _proposal(search: Search, fit: ShapeFit, bic: float) -> Proposal:
-    """The flow of a fit in the flight's coordinates and time."""
-    vehicles, uniform, ratio = read_vehicles(search.unknowns, fit.coefficients)
-    shift = fit.phases * (1.0, 1.0, -1.0) @ search.origin
-    a = (fit.weights[::2] - 1j * fit.weights[1::2]) * np.exp(-1j * shift) / ratio
-    velocity = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else None
-    waves = fit.phases[:, :2], a.real, -a.imag, velocity
-    share = fit.residual / search.rows.square
-    return Proposal(fit.shape.name, *waves, share, bic, vehicles, uniform)
+    return tuple(search.proposal(fit, bic) for fit, bic in ladder.ranked())

@@ -152,20 +152,6 @@ def side_by_side(parts: Sequence[UnknownColumns], sources: Sequence[Samples]) ->
     return columns.reshape(len(flight), 2, -1)
 
 
-def read_vehicles(
-    parts: Sequence[UnknownColumns], coefficients: Array
-) -> tuple[tuple[PointMassVehicle, ...], Pair, float]:
-    """The vehicle of each flight from coefficients (f p,), the first wind, and the mean tau_0/tau.
-
-    A vehicle that is not physical is replaced by the assumed one.
-    """
-    shares = np.array_split(coefficients, len(parts))
-    reads = [part.read(share) for part, share in zip(parts, shares, strict=True)]
-    possible = [own for own in reads if own[2] > 0] or [(reads[0][0], (0.0, 0.0), 1.0)]
-    ratio = float(np.mean([own[2] for own in possible]))
-    return tuple(own[0] for own in reads), possible[0][1], ratio
-
-
 def project_out(basis: Array, theta: Array, target: Array) -> tuple[Array, Array]:
     """(I - Q Q') theta and target, Q (m, r) orthonormal.
 

@@ -1,4 +1,4 @@
-"""The rows of the search, scans of them for waves, and the test of a residual for noise.
+"""The rows of the search, scans of them, the test of a residual for noise, and proposed flows.
 
 Rows are thinned samples of the flow velocity Phi. Fourier scans of cells along the axes and of the
 whole plane show candidate waves. The residual of a fit counts as noise if it has no more power at
@@ -18,12 +18,47 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.model.grid import Bounds, extent_of, middle
-from sparsefit.model.library import Library, UnknownColumns, side_by_side
+from sparsefit.model.library import Library, Pair, UnknownColumns, side_by_side
 from sparsefit.model.scan import WaveScan, axis_gains, line_steps, peaks
-from sparsefit.model.shapes import AXIS, FlowRows, ShapeFit, fitted
+from sparsefit.model.shapes import (
+    AXIS,
+    STAND,
+    FlowRows,
+    ShapeFit,
+    WaveCells,
+    fitted,
+    free_waves,
+    read_cells,
+)
 from sparsefit.rows import Samples
 
 EXACT = 1e-6  # share of |Phi|^2, the error of smoothing: smaller residuals are equivalent
+CLOSE = 10.0  # difference of BIC to the best: a rival
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A flow fitted to the rows: psi = sum a cos(phi) + b sin(phi), phi = k.(x - c t)."""
+
+    shape: str  # axis, square, rectangle, pair or several
+    wavevectors: Array  # k (j, 2) [rad/m]
+    cosine: Array  # a (j,) [m^2/s], in the flight's own coordinates and time
+    sine: Array  # b (j,) [m^2/s]
+    velocity: Pair | None  # c [m/s]; None: steady
+    residual: float  # RSS of the rows over |Phi|^2
+    bic: float  # n ln RSS + p ln n
+    vehicles: tuple[PointMassVehicle, ...]  # of each flight, its unknowns as fitted
+    background: Pair = (0.0, 0.0)  # velocity of the air beside the flow [m/s]
+
+    def lobe(self, extent: float) -> tuple[str, bytes]:
+        """A key that is equal for proposals whose phases agree to about 1e-6 over an extent [m]."""
+        phases = np.append(self.wavevectors * extent, self.velocity or ())
+        return self.shape, (np.round(phases, 6) + 0.0).tobytes()
+
+    @property
+    def cells(self) -> WaveCells:
+        """The cells of these waves: mean velocity U0 [m/s], length scale L [m] and shape."""
+        return read_cells(self.wavevectors, np.column_stack([self.cosine, self.sine]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +189,17 @@ class Search:
         most = 2 * math.log(waves / 1e-3) + 8
         return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
 
+    def vehicles(self, coefficients: Array) -> tuple[tuple[PointMassVehicle, ...], Pair, float]:
+        """The vehicle of each flight from coefficients (f p,), the wind, and the mean tau_0/tau.
+
+        A vehicle that is not physical is replaced by the assumed one; the wind is the first.
+        """
+        shares = np.array_split(coefficients, len(self.unknowns))
+        reads = [own.read(share) for own, share in zip(self.unknowns, shares, strict=True)]
+        possible = [own for own in reads if own[2] > 0] or [(reads[0][0], (0.0, 0.0), 1.0)]
+        ratio = float(np.mean([own[2] for own in possible]))
+        return tuple(own[0] for own in reads), possible[0][1], ratio
+
     def bic(self, fit: ShapeFit, worth: float | None = None) -> float:
         """The BIC n ln RSS + p ln n of a fit with p parameters, RSS over |Phi|^2.
 
@@ -162,6 +208,28 @@ class Search:
         n = worth or self.worth
         share = max(fit.residual / self.rows.square, EXACT)
         return n * math.log(share) + fit.shape.size * math.log(n)
+
+    def proposal(self, fit: ShapeFit, bic: float) -> Proposal:
+        """The flow of a fit in the flight's coordinates and time."""
+        vehicles, uniform, ratio = self.vehicles(fit.coefficients)
+        shift = fit.phases * (1.0, 1.0, -1.0) @ self.origin
+        a = (fit.weights[::2] - 1j * fit.weights[1::2]) * np.exp(-1j * shift) / ratio
+        velocity = (float(fit.q[-2]), float(fit.q[-1])) if fit.shape.drifting else None
+        waves = fit.phases[:, :2], a.real, -a.imag, velocity
+        residual = fit.residual / self.rows.square
+        return Proposal(fit.shape.name, *waves, residual, bic, vehicles, uniform)
+
+    def proposed_at(self, other: Proposal, phases: Array) -> Proposal | None:
+        """The proposal of waves (k_x, k_y, omega) (j, 3) in the shape of another proposal.
+
+        None if the rows exclude it: if its residual is larger by `CLOSE` of BIC, or it is no flow.
+        """
+        shape = {own.name: own for own in STAND}.get(other.shape, free_waves(len(phases)))
+        shape = shape.moving if other.velocity else shape
+        fit = fitted(self.rows, shape, shape.nearest(phases))
+        most = other.residual * self.rows.square * math.exp(CLOSE / self.worth)
+        near = fit.residual <= most and self.possible(fit)
+        return self.proposal(fit, self.bic(fit)) if near else None
 
 
 def spectrum(values: Array) -> Array:

@@ -109,6 +109,7 @@ SQUARE = replace(AXIS, name="square", turned=True)
 """Square cells at any heading: q = (k, heading)."""
 RECTANGLE = Shape("rectangle", ((1, 1j), (1, -1j)), turned=True)
 """Rectangular cells at any heading: q = (k_x, k_y, heading), L_x = pi/k_x and L_y = pi/k_y."""
+STAND = (AXIS, SQUARE, RECTANGLE)  # steady cells, the simplest first
 
 
 def free_waves(count: int, *, drifting: bool = False) -> Shape:

@@ -2,6 +2,7 @@
 
 import math
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from sparsefit.model.grid import (
     wave_rings,
 )
 from sparsefit.model.grid import candidate_columns as columns_of
-from sparsefit.model.library import Library, UnknownColumns, project_out, read_vehicles
+from sparsefit.model.library import Library, UnknownColumns, project_out
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative, Samples
 from tests.problems import SMALL_GRID, VEHICLE, flight, fly
@@ -323,13 +324,12 @@ def test_vehicles_that_cannot_be_are_those_believed():
     columns = UnknownColumns(("response_time",), WRONG)
     for value in (1.0, 3.0, np.nan):
         vehicle, wind, ratio = columns.read(np.array([value]))
-        assert (vehicle, wind) == (WRONG, (0.0, 0.0))
-        assert np.isnan(ratio)
-    vehicles, wind, ratio = read_vehicles((columns, columns), np.array([3.0, -3.0]))
-    assert vehicles[0] == WRONG
+        assert (vehicle, wind, np.isnan(ratio)) == (WRONG, (0.0, 0.0), True)
+    alone, both = (SimpleNamespace(unknowns=(columns,) * count) for count in (1, 2))
+    vehicles, wind, ratio = sf.model.Search.vehicles(both, np.array([3.0, -3.0]))
+    assert (vehicles[0], wind, ratio) == (WRONG, (0.0, 0.0), 4.0)
     assert vehicles[1].response_time == pytest.approx(0.5)
-    assert (wind, ratio) == ((0.0, 0.0), 4.0)
-    assert read_vehicles((columns,), np.array([3.0])) == ((WRONG,), (0.0, 0.0), 1.0)
+    assert sf.model.Search.vehicles(alone, np.array([3.0])) == ((WRONG,), (0.0, 0.0), 1.0)
 
 
 def test_quadratic_drag_and_a_measured_thrust_by_hand():

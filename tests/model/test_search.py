@@ -12,7 +12,7 @@ from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.flight.waves import WaveFlow
 from sparsefit.model import LengthScaleGrid, Library, Search, Start, flight_weights, propose
 from sparsefit.model import search as room
-from sparsefit.model.ladder import Ladder, proposed_at
+from sparsefit.model.ladder import Ladder
 from sparsefit.model.shapes import (
     AXIS,
     PAIR,
@@ -140,8 +140,8 @@ def test_waves_are_proposed_where_the_rows_do_not_exclude_them():
     search = Search.of([samples_of(flow_of(PAIR, (0.9, 0.8, 0.7, -1.0)), 0.05)], [VEHICLE], LIBRARY)
     pair = next(own for own in propose(search, Start()) if own.shape == "pair")
     near, far = (np.column_stack([s * pair.wavevectors, [0.0, 0.0]]) for s in (1.0001, 1.2))
-    assert proposed_at(search, pair, near).wavevectors == pytest.approx(near[:, :2])
-    assert proposed_at(search, pair, far) is None
+    assert search.proposed_at(pair, near).wavevectors == pytest.approx(near[:, :2])
+    assert search.proposed_at(pair, far) is None
 
 
 def test_unknown_vehicles_are_linear_columns_of_the_rows():
