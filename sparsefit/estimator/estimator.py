@@ -16,7 +16,7 @@ from sparsefit.estimator import saved
 from sparsefit.estimator.estimate import Doubt, Estimate, ScaleEstimate, Verdict
 from sparsefit.flight import Flight
 from sparsefit.model import Library, Readout
-from sparsefit.regression.backend import Backend, settings_of
+from sparsefit.regression.backend import Backend
 from sparsefit.regression.fit import TOLERANCE, Fit, fit
 from sparsefit.rows import Derivative
 
@@ -95,9 +95,8 @@ class Estimator:
     def read(self, prepared: Prepared, fit: Fit) -> Estimate:
         """Parameters from a fit (Eqs. 21-25): read on the grid, or located, measured and judged."""
         start = perf_counter()
-        speed = scale = math.nan
         by_scale: dict[float, float] = {}
-        parts: dict[str, Any] = {"mean_velocity": speed, "length_scale": scale}
+        parts: dict[str, Any] = dict.fromkeys(("mean_velocity", "length_scale"), math.nan)
         verdict: Verdict | None = None
         if np.isfinite(fit.weights).all():
             by_scale = self.readout.by_scale(fit, self.library)
@@ -123,7 +122,7 @@ class Estimator:
             **vars(verdict),
             weights_by_scale=by_scale,
             backend=fit.backend.name,
-            settings=settings_of(fit.backend),
+            settings=fit.settings,
             samples=fit.problem.samples if cells else sum(len(own.time) for own in prepared.parts),
             columns=fit.problem.columns,
             certificate=fit.certificate,
@@ -165,9 +164,8 @@ class Estimator:
         early = prepared.once(
             ("logs", self.free), lambda: next(doubts_of_logs(prepared, self.free), None)
         )
-        if early is not None and early.doubt is not Doubt.STILL_AIR:
-            return parts, early
-        search = prepared.search  # which refuses flights that do not move
+        if early is None or early.doubt is Doubt.STILL_AIR:
+            search = prepared.search  # which refuses flights that do not move
         if early is not None:
             return parts, early
         start = self.readout.start(search, fit, self.library)

@@ -7,20 +7,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from sparsefit.estimator.estimate import Doubt, ScaleEstimate, Verdict
+from sparsefit.estimator.estimate import PARAMETERS, Doubt, ScaleEstimate, Verdict
 from sparsefit.estimator.measure import Measured
-from sparsefit.estimator.prepare import EVIDENT, RESOLVED, Prepared, apart, ways_of
+from sparsefit.estimator.prepare import RESOLVED, Prepared
 from sparsefit.likelihood.causes import FREEDOMS, Suspect, two_digits, unit_of
 from sparsefit.likelihood.diagnosis import usable
-from sparsefit.model.grid import extent_of
 
-PARALLEL = 0.98  # least correlation of displacements that differ by a factor alone
 DISAGREES = 0.2  # largest relative rms difference of displacements by position and velocity
-QUANTITIES = {
-    "mean_velocity": "the mean velocity",
-    "length_scale": "the length scale",
-    "timescale": "the timescale",
-}
 MORE = "more than noise is left"
 UNITS = {  # by the displacement of positions over that of velocities
     1000.0: "the position may be in mm",
@@ -47,12 +40,9 @@ def misfit(words: str) -> Verdict:
 
 def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[Verdict]:
     """Verdicts before a flow is searched for; free: as in `doubts_of_flow`."""
-    phi = np.concatenate([
-        own.flow_velocity(flight.vehicle)
-        for own, flight in zip(prepared.parts, prepared.flights, strict=True)
-    ])  # fmt: skip
-    samples = len(phi)
-    if samples <= 20:  # too few to estimate their noise
+    pairs = zip(prepared.parts, prepared.vehicles, strict=True)
+    phi = np.concatenate([own.flow_velocity(vehicle) for own, vehicle in pairs])
+    if (samples := len(phi)) <= 20:  # too few to estimate their noise
         yield unidentifiable(
             Doubt.FEW_SAMPLES,
             f"{samples} samples are too few for the unknowns of a flow; fly longer, or sample "
@@ -61,22 +51,18 @@ def doubts_of_logs(prepared: Prepared, free: tuple[str, ...] | str) -> Iterator[
     speed = max(float(np.abs(own.velocity).max()) for own in prepared.parts)
     if float(np.abs(phi - phi.mean(axis=0)).max()) <= 1e-6 * speed:  # smoothing errs by 1e-9
         yield unidentifiable(Doubt.STILL_AIR, "no cellular flow detected: the air is still")
-    for number, flight in enumerate(prepared.sound, 1):
-        latency = prepared.latencies[number - 1]
-        share = apart(flight) if flight.velocity_measured else 0.0
-        if latency and share > DISAGREES and not (free == "auto" or "latency" in free):
-            yield _too_late(_of_flight(prepared, number), latency)
+    for number, ways in prepared.ways.items():
+        latency, share = prepared.latencies[number - 1], ways.apart()
         if share > DISAGREES and not latency:
-            ways, moved, _ = ways_of(flight)
-            both, alone = float(np.sum(ways * moved)), float(np.sum(moved**2))
             size = f"{100 * share:.0f} % of" if share < 10 else "more than 10 times"
             words = (
                 f"the logged velocity is not that of the logged position: they are {size} the "
                 "motion apart; check units, axes and time stamps"
             )
-            if both > PARALLEL * math.sqrt(alone * float(np.sum(ways**2))):
-                words = _farther(both / alone)
+            words = _farther(ways.ratio) if ways.parallel else words
             yield unidentifiable(Doubt.DISAGREEMENT, f"{_of_flight(prepared, number)}{words}")
+        elif share > DISAGREES and not (free == "auto" or "latency" in free):
+            yield _too_late(_of_flight(prepared, number), latency)
 
 
 def doubts_of_flow(
@@ -95,12 +81,11 @@ def doubts_of_flow(
         precision: the largest half-width of an interval, as a share of the value.
         free: names freed by the estimator's settings, or "auto".
     """
-
     grid, drift = prepared.library.grid, np.zeros(2)
     if result is not None:
         drift += result.posterior.model.pattern.drift
-    places = [own.position - own.time[:, None] * drift for own in prepared.parts]
-    extent = extent_of(np.concatenate(places))
+    track = np.concatenate([own.position - own.time[:, None] * drift for own in prepared.parts])
+    extent = float(np.ptp(track, axis=0).max())
     if extent < grid.lower:
         yield unidentifiable(
             Doubt.SHORT_TRACK,
@@ -124,13 +109,9 @@ def doubts_of_flow(
     if result is None or not result.detected:
         alone = "; estimate each flight alone: frames or units may differ"
         others = alone if len(prepared.flights) > 1 else ""
-        for number, flight in enumerate(prepared.sound, 1):
-            if flight.velocity_measured:
-                ways, summed, noise = ways_of(flight)
-                size = math.sqrt(float(np.sum(summed**2))) + 1e-300
-                ratio = float(np.sum(ways * summed)) / size**2
-                if abs(ratio - 1.0) > max(EVIDENT, 5.0 * noise / size):
-                    others = f"; {_of_flight(prepared, number)}{_farther(ratio)}"
+        for number, ways in prepared.ways.items():
+            if ways.scaled:
+                others = f"; {_of_flight(prepared, number)}{_farther(ways.ratio)}"
         yield unidentifiable(
             Doubt.NO_FLOW,
             f"no cellular flow detected: no waves of {grid.lower:g} to {grid.upper:g} m explain "
@@ -216,18 +197,19 @@ def doubts_of_flow(
     for place, scale in enumerate(scales):  # all values are finite, the first within precision
         widths = {
             name: (high - low) / 2 / abs(getattr(scale, name))
-            for name in QUANTITIES
+            for _, name, _ in PARAMETERS
             for low, high in [getattr(scale.uncertainty, f"{name}_interval")]
         }
         worst = max(widths, key=lambda name: widths[name])
+        quantity = f"the {worst.replace('_', ' ')}"
         if not math.isfinite(widths[worst]):
-            words = f"the flight does not tell {QUANTITIES[worst]} at all; fly across more cells"
+            words = f"the flight does not tell {quantity} at all; fly across more cells"
             yield unidentifiable(Doubt.IMPRECISE, words)
         if place == 0 and widths[worst] > precision:
             several = f"{', '.join(result.freed)} may stand for another cause: name what to free, "
             yield unidentifiable(
                 Doubt.IMPRECISE,
-                f"{QUANTITIES[worst]} is known only to +-{two_digits(100 * widths[worst])} %; "
+                f"{quantity} is known only to +-{two_digits(100 * widths[worst])} %; "
                 f"{several if free == 'auto' and len(result.freed) > 1 else ''}"
                 "fly longer, across more cells, or ask for less (readout precision)",
             )

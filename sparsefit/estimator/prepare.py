@@ -9,6 +9,7 @@ from time import perf_counter
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.linalg import norm
 
 from sparsefit.arrays import Array, Brief
 from sparsefit.cached import cached_property
@@ -24,6 +25,7 @@ from sparsefit.rows.clean import pieces_of
 FEWEST = 20  # rows of each of several flights, to estimate its noise
 RESOLVED = 3.0  # least samples per length scale that resolve the flow
 EVIDENT = 0.02  # least relative difference of displacements at which a latency is searched for
+PARALLEL = 0.98  # least correlation of displacements that differ by a factor alone
 MENDED = 0.1  # the largest share of that difference which a latency may leave
 
 Result = TypeVar("Result")
@@ -57,6 +59,12 @@ class Prepared(Brief):
         return [latency_of(flight) for flight in self.sound]
 
     @cached_property
+    def ways(self) -> dict[int, Ways]:
+        """The ways of each flight whose velocity was measured, by its number from 1."""
+        sound = enumerate(self.sound, 1)
+        return {number: Ways.of(flight) for number, flight in sound if flight.velocity_measured}
+
+    @cached_property
     def sound(self) -> list[Flight]:
         """The flights with outliers of the position replaced, where time steps are even."""
         logs = (pieces_of(flight, repair=True, even=False)[0] for flight in self.flights)
@@ -82,43 +90,62 @@ class Prepared(Brief):
         return cast(Result, self._answers[key])
 
 
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Displacements (s, 2) [m] over 32nds of a log, which are equal but for noise."""
+
+    placed: Array  # by position
+    summed: Array  # by integrated velocity
+    noise: float  # the standard deviation [m] of their difference by the noise of the readings
+
+    @classmethod
+    def of(cls, flight: Flight, latency: float = 0.0) -> Ways:
+        """The ways of a flight; latency: by which positions lag the velocities [s]."""
+        steps = np.diff(flight.time)[:, None]
+        half = 0.5 * (flight.velocity[1:] + flight.velocity[:-1]) * steps
+        integral = np.vstack([np.zeros(2), np.cumsum(half, axis=0)])
+        ends = np.unique(np.linspace(0, len(flight.time) - 1, 33).astype(int))
+        times = flight.time[ends] - latency
+        ends = ends[(times >= flight.time[0]) & (times <= flight.time[-1])]
+        summed = [np.interp(flight.time[ends] - latency, flight.time, each) for each in integral.T]
+        drawn = float(np.mean(steps)) * math.sqrt(len(flight.time) / len(ends))
+        noise = math.hypot(noise_of(flight.position), drawn * noise_of(flight.velocity))
+        return cls(np.diff(flight.position[ends], axis=0), np.diff(summed, axis=1).T, noise)
+
+    def apart(self, noises: float = 5.0) -> float:
+        """The relative rms difference; noises: standard deviations by which it is reduced."""
+        rms = math.sqrt(float(np.mean((self.placed - self.summed) ** 2)))
+        size = math.sqrt(max(float(np.mean(self.summed**2)), 1e-300))
+        return max(rms - noises * self.noise, 0.0) / size
+
+    @property
+    def ratio(self) -> float:
+        """The way of the position over that of the velocity."""
+        square = max(float(np.sum(self.summed**2)), 1e-300)
+        return float(np.sum(self.placed * self.summed)) / square
+
+    @property
+    def parallel(self) -> bool:
+        """Whether they differ by a factor alone."""
+        return bool(self.ratio * norm(self.summed) > PARALLEL * norm(self.placed))
+
+    @property
+    def scaled(self) -> bool:
+        """Whether the ratio is not 1, whatever noise does to it."""
+        doubt = 5.0 * self.noise / (float(norm(self.summed)) + 1e-300)
+        return abs(self.ratio - 1.0) > max(EVIDENT, doubt)
+
+
 def latency_of(flight: Flight) -> float:
     """The time [s] by which positions lag velocities, if it removes their difference; else 0."""
-    if not (flight.velocity_measured and apart(flight) > EVIDENT):
+    whole = Ways.of(flight).apart() if flight.velocity_measured else 0.0
+    if not whole > EVIDENT:
         return 0.0
     farthest = 0.1 * float(np.ptp(flight.time))
     steps = np.arange(1, 65) * max(float(np.median(np.diff(flight.time))), farthest / 64)
     shifts = [sign * step for step in steps[steps <= farthest].tolist() for sign in (1, -1)]
-    best = min(shifts, key=lambda shift: apart(flight, shift, 0.0), default=0.0)
-    return best if apart(flight, best) < MENDED * apart(flight) else 0.0
-
-
-def apart(flight: Flight, latency: float = 0.0, noises: float = 5.0) -> float:
-    """The relative rms difference of displacements by position and by velocity (`ways_of`).
-
-    noises: standard deviations of the readings' noise by which it is reduced.
-    """
-    ways, moved, noise = ways_of(flight, latency)
-    rms = math.sqrt(float(np.mean((ways - moved) ** 2)))
-    return max(rms - noises * noise, 0.0) / math.sqrt(max(float(np.mean(moved**2)), 1e-300))
-
-
-def ways_of(flight: Flight, latency: float = 0.0) -> tuple[Array, Array, float]:
-    """Displacements (s, 2) [m] over 32nds of the log, by position and by integrated velocity.
-
-    The third value is the standard deviation [m] of their difference by the noise of the readings.
-    latency: by which positions lag the velocities [s].
-    """
-    steps = np.diff(flight.time)[:, None]
-    half = 0.5 * (flight.velocity[1:] + flight.velocity[:-1]) * steps
-    integral = np.vstack([np.zeros(2), np.cumsum(half, axis=0)])
-    ends = np.unique(np.linspace(0, len(flight.time) - 1, 33).astype(int))
-    times = flight.time[ends] - latency
-    ends = ends[(times >= flight.time[0]) & (times <= flight.time[-1])]
-    summed = [np.interp(flight.time[ends] - latency, flight.time, each) for each in integral.T]
-    drawn = float(np.mean(steps)) * math.sqrt(len(flight.time) / len(ends))
-    noise = math.hypot(noise_of(flight.position), drawn * noise_of(flight.velocity))
-    return np.diff(flight.position[ends], axis=0), np.diff(summed, axis=1).T, noise
+    best = min(shifts, key=lambda shift: Ways.of(flight, shift).apart(0.0), default=0.0)
+    return best if Ways.of(flight, best).apart() < MENDED * whole else 0.0
 
 
 def prepare(
@@ -130,14 +157,8 @@ def prepare(
 ) -> Prepared:
     """Derivatives, flow velocity and regression problem of flights through one flow.
 
-    Args:
-        flights: of one flow, one frame and one clock.
-        derivative: that makes rows of the samples.
-        library: of columns.
-        shared: whether several back-ends will use it, so that common work belongs here.
-
-    Raises:
-        InputError: where a flight does not suit the settings.
+    shared: whether several back-ends will use it, so that common work belongs here. Raises
+    InputError where a flight does not suit the settings.
     """
     start, parts, flights = perf_counter(), [], together(flights)
     for number, flight in enumerate(flights, 1):
@@ -154,8 +175,7 @@ def prepare(
     problem = library.build(parts, vehicles, weights)
     if shared:
         _ = problem.design.gram
-    seconds = perf_counter() - start
-    return Prepared(flights, tuple(parts), weights, library, problem, seconds)
+    return Prepared(flights, tuple(parts), weights, library, problem, perf_counter() - start)
 
 
 def together(flights: Flight | Sequence[Flight]) -> tuple[Flight, ...]:

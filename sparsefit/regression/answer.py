@@ -10,7 +10,7 @@ import numpy as np
 from sparsefit.arrays import Array, Brief, IntArray
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, is_real, one_line, shown
-from sparsefit.regression.backend import Backend, PenalisedBackend
+from sparsefit.regression.backend import Backend, PenalisedBackend, settings_of
 from sparsefit.regression.certificate import Certificate
 from sparsefit.regression.problem import RegressionProblem
 
@@ -47,6 +47,11 @@ class Fit(Brief):
         """The penalty as a fraction of alpha_max; NaN of a back-end without one."""
         value = getattr(self.backend, "alpha_fraction", None)
         return float(value) if is_real(value) else math.nan
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings of the back-end, JSON-ready."""
+        return settings_of(self.backend)
 
     @property
     def alpha(self) -> float:

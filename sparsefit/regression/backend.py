@@ -163,8 +163,7 @@ class Checked:
 
 def settings_of(backend: Any) -> dict[str, Any]:
     """The settings of a back-end, JSON-ready, in the order of its fields."""
-    settings: dict[str, Any] = plain(backend)
-    return settings
+    return dict(plain(backend))
 
 
 @cache

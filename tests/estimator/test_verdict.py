@@ -14,7 +14,7 @@ from sparsefit.errors import InputError
 from sparsefit.estimator import Doubt
 from sparsefit.estimator.judge import doubts_of_flow
 from sparsefit.estimator.measure import measure_flow
-from sparsefit.estimator.prepare import apart, latency_of
+from sparsefit.estimator.prepare import Ways, latency_of
 from sparsefit.likelihood.causes import Suspect
 from sparsefit.likelihood.goodness import Goodness
 from sparsefit.model import Start, propose
@@ -210,7 +210,7 @@ def test_a_latency_is_read_from_a_log_where_it_mends_the_way():
     late = replace(part(whole, slice(10, -10)), position=whole.position[5:-15])
     assert latency_of(late) == pytest.approx(0.1, abs=0.0154)  # half a step
     large = replace(whole, velocity=1.1 * whole.velocity)
-    assert apart(large) == pytest.approx(0.1 / 1.1, rel=0.02)
+    assert Ways.of(large).apart() == pytest.approx(0.1 / 1.1, rel=0.02)
     assert latency_of(large) == latency_of(whole) == 0.0
 
 
