@@ -190,9 +190,9 @@ class Search:
         return -self.worth * math.log(max(1 - gain / whole, EXACT)) < most
 
     def vehicles(self, coefficients: Array) -> tuple[tuple[PointMassVehicle, ...], Pair, float]:
-        """The vehicle of each flight from coefficients (f p,), the wind, and the mean tau_0/tau.
+        """The vehicle of each flight from coefficients (f p,), the air, and the mean tau_0/tau.
 
-        A vehicle that is not physical is replaced by the assumed one; the wind is the first.
+        A vehicle that is not physical is the assumed one; the air's velocity is that of one flight.
         """
         shares = np.array_split(coefficients, len(self.unknowns))
         reads = [own.read(share) for own, share in zip(self.unknowns, shares, strict=True)]
