@@ -49,10 +49,11 @@ class SortedNorm(Penalty):
     def violations(self, correlation: Array, values: Array, alpha: float | Array) -> Array:
         out = np.full(self.columns, -1.0)
         for pull, weight in zip(np.abs(correlation).T, values.T, strict=True):
-            off = np.flatnonzero(weight == 0)
+            # What is below the least limit adds to no sum.
+            off = np.flatnonzero((weight == 0) & (pull > alpha * self.weights[-1]))
             order = off[np.argsort(-pull[off])]
-            limit = alpha * self.weights[len(weight) - len(off) :]
-            excess = np.cumsum(pull[order] - limit)
+            used = np.count_nonzero(weight)
+            excess = np.cumsum(pull[order] - alpha * self.weights[used : used + len(off)])
             count = int(np.argmax(excess)) + 1 if len(off) and excess.max() > 0 else 0
             out[order[:count]] = np.maximum(out[order[:count]], pull[order[:count]] / alpha)
         return out

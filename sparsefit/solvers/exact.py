@@ -249,12 +249,13 @@ def _with_working_set(
                 name = "block descent"
             by_gram = not whole or size <= {"block descent": m // 4, "newton": m}.get(name, size)
             if name == "cluster descent":  # which moves in sparse columns, too
-                by_gram = not stays or design.csc.nnz >= 2**31
+                by_gram = not stays or size <= FEW or design.csc.nnz >= 2**31
             working = working.extended(new, cross, by_gram)
         here = alphas[done : done + AHEAD]
         is_rough = not is_settled and name not in ("homotopy", "variational")
         goal = DESCENDED if name == "block descent" else STOP
         batch = KERNELS[name](working.problem, here, warm_starts, ROUGH if is_rough else goal)
+        is_rough = is_rough and not batch.complete.all()
         warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
         near = NEAR if name in ("variational", "block descent") else 0.0
         accepted, new = _violations(working, here, batch.weights, near)

@@ -123,7 +123,7 @@ def _each(
         if gap > stop:
             values, gap, taken = solved_by_newton(on, alpha, values, stop)
             points.steps[i] += taken
-        points.weights[i], points.complete[i] = values, gap <= stop
+        points.weights[i], points.complete[i] = values, gap <= (STOP if stop == ROUGH else stop)
         near = {**warm_starts, alpha: values}
     return points
 
@@ -193,7 +193,7 @@ def block_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: flo
             change = ROUGH_CHANGE if stop == ROUGH else share * stop
             steps += blocks.descend(change**2, most - steps)
             if stop == ROUGH:
-                return values, 0.0, steps
+                return values, ROUGH, steps
             pull = (residual @ rows).T / samples
             if on.gram is not None:  # of which R may have lost digits
                 pull = on.cross - on.times(values)
@@ -227,20 +227,18 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
 
     def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
         gap, rounds = np.inf, 0
-        values, _ = towards_clusters_optimum(on, alpha, values)
+        values, met = towards_clusters_optimum(on, alpha, values)
         for rounds in range(CLUSTERED):
             pull = on.cross - on.times(values)
-            gap = relative_gap(on, alpha, values, pull)
+            gap = np.inf if met and stop < ROUGH else relative_gap(on, alpha, values, pull)
             if gap <= stop:
                 break
             values = penalty.prox(values + step * pull, step * alpha)
             state = target - on.off(rows @ values) if columns else on.cross - on.times(values)
             price = alpha * sums
-            going = sweep(gram, columns, price, state[:, 0], values[:, 0], SWEEPS)
-            going = going or rounds >= ALIKE
-            while going:
+            met = not sweep(gram, columns, price, state[:, 0], values[:, 0], SWEEPS)
+            if not met or rounds >= ALIKE:
                 values, met = towards_clusters_optimum(on, alpha, values)
-                going = met and rounds >= ALIKE
         return values, gap, rounds
 
     return _each(on, alphas, warm_starts, stop, improved)

@@ -39,6 +39,7 @@ PATIENCE = 6  # proximal points without a smaller gap
 EXACT, GRADIENTS = 1e-13, 2000  # relative residual, and the most steps of conjugate gradients
 JOINING, MANY = 24, 72  # rows of G that are formed at a time, and after which all are
 CLUSTERS, STEPS = 64, 500  # of which Z_C'Z_C is formed; conjugate gradients at most for more
+INEXACT = 0.1  # of the first residual, to which they are solved where two clusters meet
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
 
 
@@ -90,7 +91,12 @@ class Columns:
         if self.gram is not None:
             return np.asarray(self.gram @ values)
         assert self.rows is not None
-        return np.asarray((self.off(self.rows @ values).T @ self.rows).T / self.samples)
+        return np.asarray(self.across @ self.off(self.rows @ values) / self.samples)
+
+    @cached_property
+    def across(self) -> Any:
+        """Z_J' (j, m), a view, which scipy takes longer to make than to multiply."""
+        return self.rows.T
 
     def off(self, rows: Array) -> Array:
         """(I - e e') R of R (m, ...); R itself where there is no e."""
@@ -301,12 +307,14 @@ def _proximal_point(
 
 
 def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[Array, bool]:
-    """From V (j, 1) towards the optimum for its signs and clusters, until two clusters meet.
+    """From V (j, 1) towards the optimum for its signs and clusters, of which some may meet.
 
     With the columns summed over each cluster, Z_C (m, d), their levels x at the optimum solve
-    Z_C'Z_C/m x = Z_C'Y/m - alpha lambda_C. Returns V, and whether two clusters met.
+    Z_C'Z_C/m x = Z_C'Y/m - alpha lambda_C. Where x does not descend to 0, those that meet are
+    pooled, if the objective falls. Returns V, and whether clusters met.
     """
-    from scipy.sparse import csc_array  # who reads an estimator need not wait for it
+    from scipy.optimize import isotonic_regression  # who reads an estimator need not wait for it
+    from scipy.sparse import csc_array
 
     assert isinstance(on.penalty, SortedNorm)
     size = np.abs(values[:, 0])
@@ -316,14 +324,14 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     size, sign = size[order], np.sign(values[order, 0])
     first = np.concatenate([[0], np.flatnonzero(size[1:] != size[:-1]) + 1])
     counts, price = np.diff(first, append=len(order)), alpha * on.penalty.weights[: len(order)]
-    right = np.add.reduceat(sign * on.cross[order, 0] - price, first)
+    right = np.add.reduceat(sign * on.cross[order, 0] - price, first)[:, None]
     shift, sign = SHIFT * counts[:, None], sign[:, None]
-
+    level, levels = size[first, None], None
     if on.gram is not None:
         square = on.gram.take(order, 0).take(order, 1) * (sign * sign.T)
         square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
         square.flat[:: len(square) + 1] += shift[:, 0]
-        levels = definite(square, right)
+        times: Callable[[Array], Array] = square.__matmul__
     else:
         assert on.rows is not None
         columns = sign[:, 0], order, np.append(first, len(order))
@@ -333,20 +341,27 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
         def times(x: Array) -> Array:
             return sums.times(x) + shift * x
 
-        if len(first) <= CLUSTERS:
-            levels = definite(times(np.eye(len(first))), right)
-        else:
-            levels = by_gradients(times, right[:, None], size[first, None], most=STEPS)[0][:, 0]
+        square = times(np.eye(len(first))) if len(first) <= CLUSTERS else None
+    if square is not None:
+        levels = definite(square, right)
+    else:
+        sizes = list[float]()
+
+        def meets(x: Array, rest: float) -> bool:  # roughly solved, as the way ends before
+            sizes.append(rest)
+            return rest <= INEXACT * sizes[0] and bool(np.any(np.diff(x[:, 0], append=0.0) > 0))
+
+        levels = by_gradients(times, right, level, ends=meets, most=STEPS)[0]
     if levels is None:
         return values, False
-    # Of each cluster above the next smaller one, from the smallest.
-    levels = np.stack([size[first], levels])
-    levels[:, :-1] -= levels[:, 1:]
-    rise, after = levels[:, ::-1]
-    until = np.full(len(rise), np.inf)
-    until[after < 0.0] = rise[after < 0.0] / (rise - after)[after < 0.0]
-    share = min(float(until.min()), 1.0)
-    rise = np.where(until <= share, 0.0, np.maximum(rise + share * (after - rise), 0.0))
+    met = bool(np.any(np.diff(levels[:, 0], append=0.0) > 0))
+    if met:  # those that do become one, where the objective falls
+        pooled = isotonic_regression(levels[:, 0], weights=counts, increasing=False).x
+        levels = np.maximum(pooled, 0.0)[:, None]
+        move = levels - level
+        fall, bend = (float(np.vdot(move, x)) for x in (right - times(level), times(move)))
+        if fall < 0.5 * bend:
+            levels = level + max(fall / bend, 0.0) * move
     out = np.zeros_like(values)
-    out[order, 0] = sign[:, 0] * np.repeat(np.cumsum(rise)[::-1], counts)
-    return out, share < 1.0
+    out[order] = sign * np.repeat(levels, counts, axis=0)
+    return out, met

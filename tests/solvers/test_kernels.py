@@ -160,24 +160,23 @@ def test_clusters_of_columns_that_are_alike_are_certified(kind):
         alphas = float(penalty.dual_norm(design.correlate(target)).max()) * np.array([0.3, 1e-2])
         points = exact.exact_path(design, target, penalty, alphas)
         assert points.complete.all()
-        scaled = points.weights / design.rms[:, None]
-        gaps = duality_gaps(design, target, scaled, alphas, penalty)
+        gaps = duality_gaps(design, target, points.weights / design.rms[:, None], alphas, penalty)
         assert max(gap.bound for gap in gaps) < 1e-8
 
 
 @pytest.mark.parametrize(("most", "centred"), [(0, True), (500, True), (500, False)])
 def test_sparse_clusters_are_descended_in_their_columns(most, centred, monkeypatch):
     """Or Newton's method ends it; neither forms Z'Z."""
-    rng = np.random.default_rng(8)
+    rng, penalty = np.random.default_rng(8), SortedNorm(np.linspace(1.0, 0.3, 700))
     theta = sparse.random(90, 700, 0.05, "csc", random_state=rng)
     target = theta[:, :4] @ rng.normal(size=(4, 1)) + 0.05 * rng.normal(size=(90, 1))
-    design, penalty = Design(theta, 90), SortedNorm(np.linspace(1.0, 0.3, 700))
-    design = replace(design, direction=np.full(90, 90**-0.5)) if centred else design
+    design = Design(theta, 90, direction=np.full(90, 90**-0.5) if centred else None)
     target = design.off(target)
     alphas = float(penalty.dual_norm(design.correlate(target)).max()) * np.geomspace(0.9, 0.05, 6)
     whole = exact.exact_path(replace(design, source=theta.toarray()), target, penalty, alphas)
     monkeypatch.setattr(kernels, "CLUSTERED", most)
-    monkeypatch.setattr(exact, "SMALL_CLUSTERS", 0)
+    for name in ("FEW", "SMALL_CLUSTERS"):
+        monkeypatch.setattr(exact, name, 0)
     monkeypatch.setattr(Design, "products", None)
     points = exact.exact_path(design, target, penalty, alphas)
     assert points.complete.all()
@@ -224,16 +223,17 @@ def test_newtons_system_is_solved_by_few_rows_as_it_is_by_columns(width, q):
         assert on.solved(every, lift if width else None, pull, 3.0, q) == pytest.approx(expected)
 
 
-def test_clusters_move_to_their_optimum_until_two_meet():
-    """G = I, lambda = (2, 1): (2, 1) moves towards (1, 3), and both are 5/3 a third of the way."""
-    pull = np.array([[3.0], [-4.0]])
-    on = Columns(SortedNorm(np.array([2.0, 1.0])), pull, 1, np.eye(2))
-    third, met = towards_clusters_optimum(on, 1.0, np.array([[2.0], [-1.0]]))
-    assert third.ravel() == pytest.approx([5.0 / 3.0, -5.0 / 3.0])
-    assert met
-    moved, met = towards_clusters_optimum(on, 1.0, third)  # one cluster: (7 - 3)/2
-    assert moved.ravel() == pytest.approx([2.0, -2.0])
-    assert not met
+def test_clusters_that_meet_on_the_way_to_their_optimum_are_pooled_where_the_objective_falls():
+    """G = I, lambda = (2, 1): from (2, 1) to (1, 3), which is pooled to 2, the optimum of one."""
+    penalty, pull = SortedNorm(np.array([2.0, 1.0])), np.array([[3.0], [-4.0]])
+    on = Columns(penalty, pull, 1, np.eye(2))
+    pooled, met = towards_clusters_optimum(on, 1.0, np.array([[2.0], [-1.0]]))
+    moved, meets = towards_clusters_optimum(on, 1.0, pooled)
+    assert np.hstack([pooled, moved]) == pytest.approx(np.array([[2.0, 2.0], [-2.0, -2.0]]))
+    assert (met, meets) == (True, False)
+    steep = Columns(penalty, np.array([[102.0], [-4.0]]), 1, np.diag([100.0, 1.0]))
+    stays = np.array([[1.1], [-1.0]])
+    assert towards_clusters_optimum(steep, 1.0, stays)[0] == pytest.approx(stays)
 
 
 def test_a_target_that_no_column_correlates_with_has_weights_of_zero():
