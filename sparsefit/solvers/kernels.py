@@ -220,14 +220,18 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
         x = on.times(x / np.linalg.norm(x))
     step, sweep = 1.0 / (1.05 * float(np.linalg.norm(x))), compiled("sweeps").descend_clusters
     penalty, sums = on.penalty, np.concatenate([[0.0], np.cumsum(on.penalty.weights)])
-    columns = None
+    columns, trail = None, list[tuple[float, Array]]()
     if gram is None:
         means = np.zeros(len(x)) if on.direction is None else rows.T @ on.direction
         columns = (rows.data, rows.indices, rows.indptr, on.samples, means)
 
     def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
-        gap, rounds = np.inf, 0
-        values, met = towards_clusters_optimum(on, alpha, values)
+        gap, rounds, met = np.inf, 0, bool(values.any())
+        if alpha in warm_starts:
+            values, met = towards_clusters_optimum(on, alpha, values)
+        elif len(trail) > 1 and trail[-2][0] > trail[-1][0]:  # the path is nearly straight
+            (above, first), (last, second) = trail[-2:]
+            values = second + min((last - alpha) / (above - last), 1.0) * (second - first)
         for rounds in range(CLUSTERED):
             pull = on.cross - on.times(values)
             gap = np.inf if met and stop < ROUGH else relative_gap(on, alpha, values, pull)
@@ -239,6 +243,7 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
             met = not sweep(gram, columns, price, state[:, 0], values[:, 0], SWEEPS)
             if not met or rounds >= ALIKE:
                 values, met = towards_clusters_optimum(on, alpha, values)
+        trail.append((alpha, values))
         return values, gap, rounds
 
     return _each(on, alphas, warm_starts, stop, improved)
