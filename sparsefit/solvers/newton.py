@@ -38,7 +38,7 @@ FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit r
 PATIENCE = 6  # proximal points without a smaller gap
 EXACT, GRADIENTS = 1e-13, 2000  # relative residual, and the most steps of conjugate gradients
 JOINING, MANY = 24, 72  # rows of G that are formed at a time, and after which all are
-CLUSTERS, STEPS = 64, 500  # of which Z_C'Z_C is formed; conjugate gradients at most for more
+STEPS = 500  # conjugate gradients at most for the levels of clusters
 INEXACT = 0.1  # of the first residual, to which they are solved where two clusters meet
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
 
@@ -326,26 +326,20 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
     counts, price = np.diff(first, append=len(order)), alpha * on.penalty.weights[: len(order)]
     right = np.add.reduceat(sign * on.cross[order, 0] - price, first)[:, None]
     shift, sign = SHIFT * counts[:, None], sign[:, None]
-    level, levels = size[first, None], None
+    level, sizes = size[first, None], list[float]()
     if on.gram is not None:
         square = on.gram.take(order, 0).take(order, 1) * (sign * sign.T)
         square = np.add.reduceat(np.add.reduceat(square, first, axis=0), first, axis=1)
         square.flat[:: len(square) + 1] += shift[:, 0]
         times: Callable[[Array], Array] = square.__matmul__
+        levels = definite(square, right)
     else:
-        assert on.rows is not None
         columns = sign[:, 0], order, np.append(first, len(order))
         joined = csc_array(columns, shape=(len(values), len(first)))
         sums = replace(on, rows=on.rows @ joined)  # Z_C
 
         def times(x: Array) -> Array:
             return sums.times(x) + shift * x
-
-        square = times(np.eye(len(first))) if len(first) <= CLUSTERS else None
-    if square is not None:
-        levels = definite(square, right)
-    else:
-        sizes = list[float]()
 
         def meets(x: Array, rest: float) -> bool:  # roughly solved, as the way ends before
             sizes.append(rest)
