@@ -283,9 +283,9 @@ def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
         fewer = len(pattern.values) - len(simple.values)
         if len(pattern.waves) == 2 and fewer > 0:
             models = [replace(model, pattern=simple) for model in posterior.models]
-            near = _pass(posterior, models).reached > posterior.log_likelihood - LOST
+            gain = _pass(posterior, models).reached - posterior.log_likelihood
             least = posterior.log_likelihood - 6.0 * fewer  # BIC of 160,000 readings asks no more
-            there = refit(models, posterior, least) if near else None
+            there = refit(models, posterior, least) if abs(gain) < LOST else None  # it has no more
             if there is not None and there.bic < posterior.bic:
                 return there
     return posterior

@@ -161,6 +161,8 @@ def climbed(
     for left in range(most - 1, -1, -1):
         step = Step.of(legs)
         fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
+        if fallen and best is not None:  # unless most of a false promise has come true
+            fallen = step.reached - step.gain < best[0].reached - 0.5 * best[0].gain
         if fallen or not math.isfinite(step.reached):
             if best is not None and halvings < 4:
                 halvings += 1
