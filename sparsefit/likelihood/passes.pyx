@@ -21,7 +21,7 @@ ctypedef double ByElement[OWN + 5 * WAVES]
 
 
 cdef struct Force:  # zero before it is used: entries that are never set stay so
-    ByOwn own[2]  # by the elements directly
+    ByElement own[2]  # by the elements directly
     ByElement air[2]  # of the flow, by the elements
 
 
@@ -30,30 +30,6 @@ cdef inline void add(Py_ssize_t n, double a, const double* x, double* y) noexcep
     cdef Py_ssize_t i
     for i in range(n):
         y[i] += a * x[i]
-
-
-cdef inline void respond(
-    Py_ssize_t n, double uu, double uv, double vu, double vv,
-    const double* x, const double* y, double* u, double* v,
-) noexcept nogil:
-    """(u, v) += a matrix (2, 2) times (x, y)."""
-    cdef Py_ssize_t i
-    for i in range(n):
-        u[i] += uu * x[i] + uv * y[i]
-        v[i] += vu * x[i] + vv * y[i]
-
-
-cdef inline void gather(
-    Py_ssize_t n, const double* a, const double* x, Py_ssize_t width, double* y
-) noexcept nogil:
-    """y += a'X, of the first n columns of rows X (4, width)."""
-    cdef double first = a[0], second = a[1], third = a[2], fourth = a[3]
-    cdef Py_ssize_t i
-    for i in range(n):
-        y[i] += (
-            first * x[i] + second * x[i + width] + third * x[i + 2 * width]
-            + fourth * x[i + 3 * width]
-        )
 
 
 cdef void spread_out(
@@ -93,9 +69,9 @@ cdef inline void mix(Py_ssize_t w, const double* mixing, double* slope) noexcept
 cdef void acceleration(
     const double* element, Py_ssize_t waves, const Py_ssize_t* ids, Py_ssize_t count,
     const double* state, double time, double age, double tx, double ty, Force* force,
-    double* value, double (*slope_by)[STATES + COLUMNS],
+    double* value, double* along, double* across,
 ) noexcept nogil:
-    """v' of a state, and its derivatives (2, 4 + count) by the state and by elements.
+    """v' of a state, and the slopes of its components (4 + count,) by the state and by elements.
 
     age: the time since the start of the log.
     """
@@ -104,9 +80,7 @@ cdef void acceleration(
     cdef double swell = 1.0 + element[12], shape = 1.0 + element[13] * time
     cdef double u = 0.0, v = 0.0, xx = 0.0, xy = 0.0, yx = 0.0, ut = 0.0, vt = 0.0
     cdef ByElement* air = force.air
-    cdef ByOwn* own = force.own
-    cdef double* along = slope_by[0]
-    cdef double* across = slope_by[1]
+    cdef ByElement* own = force.own
     cdef double kx, ky, omega, slope, phase, c, s, px, py
     cdef const double* wave = element + OWN
     cdef Py_ssize_t j, i, k
@@ -145,6 +119,8 @@ cdef void acceleration(
     across[0], across[1] = axy * xx + ayy * yx, axy * xy - ayy * xx
     along[2], along[3] = -axx - lag * along[0], -axy - lag * along[1]
     across[2], across[3] = -axy - lag * across[0], -ayy - lag * across[1]
+    if count == 0:
+        return
     air[0][6] = air[1][7] = 1.0
     air[0][8] = air[1][9] = time
     air[0][11] = -(xx * state[2] + xy * state[3]) - ut
@@ -161,9 +137,8 @@ cdef void acceleration(
     own[0][11], own[1][11] = ax * ahead, ay * ahead
     for i in range(count):
         k = ids[i]
-        px, py = (own[0][k], own[1][k]) if k < OWN else (0.0, 0.0)
-        along[4 + i] = px + axx * air[0][k] + axy * air[1][k]
-        across[4 + i] = py + axy * air[0][k] + ayy * air[1][k]
+        along[4 + i] = own[0][k] + axx * air[0][k] + axy * air[1][k]
+        across[4 + i] = own[1][k] + axy * air[0][k] + ayy * air[1][k]
 
 
 cdef struct Step:
@@ -177,33 +152,28 @@ cdef void transition(
     const double* mixing, const double* rates, const double* pace, double time, double start,
     double step, const double* push, const double* track, double* full, Force* force, Step* result,
 ) noexcept nogil:
-    """One step of Runge and Kutta's fourth order with its derivatives; `ids` are walkers first.
-
-    Of x' = v only the four accelerations need slopes: those of a stage follow from the two before.
-    """
+    """One step of Runge and Kutta's fourth order with its derivatives; `ids` are walkers first."""
     cdef double state[4]
-    cdef double rate[4][2]
-    cdef double slope[4][2][STATES + COLUMNS]
-    cdef double share, reach, before = 0.0, sixth = step / 6.0, part, xx, xy, yx, yy, uu, uv, vu, vv
+    cdef double rate[6][2]
+    cdef double slope[6][2][STATES + COLUMNS]
+    cdef double share, reach, before = 0.0, sixth = step / 6.0
+    cdef double uu, uv, vu, vv, xx, xy, yx, yy, x, y, dx, dy
     cdef double* u
     cdef double* v
     cdef Py_ssize_t k, i, j, stage, width = 4 + w + p
-    for stage in range(4):
-        share = 0.5 if stage == 1 or stage == 2 else (0.0 if stage == 0 else 1.0)
+    memset(rate, 0, 4 * sizeof(double))  # nothing comes before the first
+    for k in range(4):
+        memset(slope[k // 2][k % 2], 0, width * sizeof(double))
+    for stage in range(2, 6):
+        share = 0.5 if stage == 3 or stage == 4 else (0.0 if stage == 2 else 1.0)
         reach = share * step
         for k in range(2):
-            state[k], state[2 + k] = track[k] + reach * track[2 + k], track[2 + k]
-            if stage > 0:
-                state[2 + k] += reach * rate[stage - 1][k]
-            if stage > 1:
-                state[k] += reach * before * rate[stage - 2][k]
+            state[k] = track[k] + reach * (track[2 + k] + before * rate[stage - 2][k])
+            state[2 + k] = track[2 + k] + reach * rate[stage - 1][k]
         for i in range(w):
             full[ids[i]] = elements[ids[i]]
-            if stage == 0:
-                result.fading[i] = 1.0
-            elif rates[i] != 0.0 and stage != 2:
-                part = exp(-0.5 * step * rates[i] * pace[i]) if stage == 1 else result.fading[i]
-                result.fading[i] *= part
+            if stage != 4:
+                result.fading[i] = exp(-rates[i] * pace[i] * reach)
         for i in range(w):
             for j in range(w):
                 full[ids[j]] += mixing[j * w + i] * result.fading[i] * track[4 + i]
@@ -211,39 +181,32 @@ cdef void transition(
         acceleration(
             full, waves, ids, w + p, state, time + reach, time + reach - start,
             (1.0 - share) * push[0] + share * push[2],
-            (1.0 - share) * push[1] + share * push[3], force, rate[stage], slope[stage],
+            (1.0 - share) * push[1] + share * push[3], force, rate[stage], u, v,
         )
-        xx, xy, yx, yy = before * u[0], before * u[1], before * v[0], before * v[1]
-        uu, uv, vu, vv = reach * u[2], reach * u[3], reach * v[2], reach * v[3]
         for i in range(w):
             u[4 + i] *= result.fading[i]
             v[4 + i] *= result.fading[i]
-        for k in range(2):
-            slope[stage][k][2] += reach * slope[stage][k][0]
-            slope[stage][k][3] += reach * slope[stage][k][1]
-        if stage > 0:
-            respond(width, uu, uv, vu, vv, slope[stage - 1][0], slope[stage - 1][1], u, v)
-        if stage > 1:
-            respond(
-                width, reach * xx, reach * xy, reach * yx, reach * yy,
-                slope[stage - 2][0], slope[stage - 2][1], u, v,
-            )
+        uu, uv, vu, vv = reach * u[2], reach * u[3], reach * v[2], reach * v[3]
+        xx, xy, yx, yy = reach * u[0], reach * u[1], reach * v[0], reach * v[1]
+        u[2], u[3], v[2], v[3] = u[2] + xx, u[3] + xy, v[2] + yx, v[3] + yy
+        for i in range(width):  # x' = v: the slopes of v' follow from those of two stages before
+            x, y = slope[stage - 1][0][i], slope[stage - 1][1][i]
+            dx, dy = before * slope[stage - 2][0][i], before * slope[stage - 2][1][i]
+            u[i] += uu * x + uv * y + xx * dx + xy * dy
+            v[i] += vu * x + vv * y + yx * dx + yy * dy
         before = reach
     for k in range(2):
-        result.following[k] = track[k] + step * track[2 + k] + step * sixth * (
-            rate[0][k] + rate[1][k] + rate[2][k]
-        )
-        result.following[2 + k] = track[2 + k] + sixth * (
-            rate[0][k] + 2.0 * (rate[1][k] + rate[2][k]) + rate[3][k]
-        )
+        x, y = rate[2][k] + rate[3][k] + rate[4][k], rate[3][k] + rate[4][k] + rate[5][k]
+        result.following[k] = track[k] + step * (track[2 + k] + sixth * x)
+        result.following[2 + k] = track[2 + k] + sixth * (x + y)
         for i in range(width):
-            part = slope[1][k][i] + slope[2][k][i]
-            result.slope[k][i] = step * sixth * (slope[0][k][i] + part)
-            result.slope[2 + k][i] = sixth * (slope[0][k][i] + 2.0 * part + slope[3][k][i])
+            x = slope[3][k][i] + slope[4][k][i]
+            result.slope[k][i] = step * sixth * (slope[2][k][i] + x)
+            result.slope[2 + k][i] = sixth * (slope[2][k][i] + 2.0 * x + slope[5][k][i])
         result.slope[k][k] += 1.0
         result.slope[k][2 + k] += step
         result.slope[2 + k][2 + k] += 1.0
-    for k in range(4 * (w > 0)):
+    for k in range(4):
         mix(w, mixing, result.slope[k] + 4)  # states of one process fade alike
     for i in range(w):
         result.following[4 + i] = result.fading[i] * track[4 + i]
@@ -316,13 +279,10 @@ def forward(
     cdef double[:, ::1] fresh = np.empty_like(rows)
     cdef ByOwn by_element[4]
     cdef double by_state[4][STATES]
-    cdef double responses[4][STATES + COLUMNS]  # H P, -e and G
-    cdef double inverses[4]
-    cdef double part[4]
-    cdef double* response
+    cdef double response[STATES + COLUMNS]  # H P, -e and G
     cdef double gain[STATES]
     cdef double reading[4]
-    cdef double total = 0.0, size, product, dt, excess
+    cdef double total = 0.0, product, size, inverse, dt, excess
     cdef double* saved = NULL
     cdef const double* h
     cdef Step step
@@ -343,12 +303,10 @@ def forward(
         )
         product = 1.0
         for channel in range(4):
-            response = responses[channel]
-            inverses[channel] = 0.0
-            memset(response, 0, width * sizeof(double))
             if weights[i, channel] <= 0.0:
                 continue
             h = by_state[channel]
+            memset(response, 0, width * sizeof(double))
             response[n] = reading[channel] - measured[i, channel]
             for k in range(of_sensors):
                 response[target[k]] += slope[k] * by_element[channel][ids[source[k]]]
@@ -361,19 +319,17 @@ def forward(
             if not size > 0.0:  # the covariance has lost its sign
                 return INFINITY
             product *= 2.0 * M_PI * size
-            inverses[channel] = 1.0 / size
+            inverse = 1.0 / size
             for k in range(n):
-                gain[k] = -response[k] * inverses[channel]
+                gain[k] = -response[k] * inverse
             spread_out(width, n, gain, response, &rows[0, 0])
+            for k in range(width - n):  # the lower triangle
+                add(k + 1, response[n + k] * inverse, response + n, &sums[k, 0])
             if stored is not None:
                 memcpy(saved + channel * (n + c + 1), h, n * sizeof(double))
                 memcpy(saved + channel * (n + c + 1) + n, response, c * sizeof(double))
-                saved[channel * (n + c + 1) + n + c] = inverses[channel]
+                saved[channel * (n + c + 1) + n + c] = inverse
         total += log(product)
-        for k in range(width - n):  # the lower triangle
-            for j in range(4):
-                part[j] = responses[j][n + k] * inverses[j]
-            gather(k + 1, part, responses[0] + n, STATES + COLUMNS, &sums[k, 0])
         if i + 1 == time.shape[0]:
             break
         dt = time[i + 1] - time[i]
@@ -391,12 +347,12 @@ def forward(
                 fresh[k, target[j]] += slope[j] * step.slope[k][4 + source[j]]
         for k in range(n):
             fresh[k, n] = step.following[k] - track[i + 1, k]
-        for j in range(4):  # F times P, delta and V
-            gather(width, step.slope[j], &rows[0, 0], width, &fresh[j, 0])
-            for k in range(4, n):
-                add(width, step.slope[j][k], &rows[k, 0], &fresh[j, 0])
-        for k in range(4, n):
-            add(width, step.fading[k - 4], &rows[k, 0], &fresh[k, 0])
+        for k in range(n):  # F times P, delta and V
+            for j in range(4):
+                gain[j] = step.slope[j][k]
+            spread_out(width, 4, gain, &rows[k, 0], &fresh[0, 0])
+            if k >= 4:
+                add(width, step.fading[k - 4], &rows[k, 0], &fresh[k, 0])
         for k in range(n):  # and P times F'
             for j in range(k + 1):
                 rows[k, j] = dot(n, &fresh[k, 0], step.slope[j]) if j < 4 else (

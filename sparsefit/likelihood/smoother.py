@@ -160,9 +160,9 @@ def climbed(
     best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
     for left in range(most - 1, -1, -1):
         step = Step.of(legs)
-        fallen = best is not None and not fresh and step.reached < best[0].reached - 1.0
-        if fallen and best is not None:  # unless most of a false promise has come true
-            fallen = step.reached - step.gain < best[0].reached - 0.5 * best[0].gain
+        # A promise was false of which half came true while less than half of it is left.
+        lost = max(1.0, 0.5 * best[0].gain - step.gain) if best else 0.0
+        fallen = best is not None and not fresh and step.reached < best[0].reached - lost
         if fallen or not math.isfinite(step.reached):
             if best is not None and halvings < 4:
                 halvings += 1
