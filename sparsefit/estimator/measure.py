@@ -236,7 +236,9 @@ def measure_flow(
         if cells[1].bic - gain < starts[0][1].bic:  # more waves only stand in for gusts
             starts = [cells, *(own for own in starts if own is not cells)]
 
-    def diagnosed(first: Posterior, proposal: Proposal) -> tuple[Diagnosis, float]:
+    def diagnosed(
+        first: Posterior, proposal: Proposal, least: float = -math.inf
+    ) -> tuple[Diagnosis, float]:
         """The diagnosis of a start, and its excess over turbulence (`_excess`)."""
         alone = Diagnosis(first, first)
         goodness = Goodness.of(first, alone)
@@ -252,6 +254,7 @@ def measure_flow(
             first,
             names,
             shapes=shapes,
+            least=least,
             inside=lambda own: own.model.pattern.is_near(proposal.wavevectors, around),
         )
         return found, excess
@@ -278,6 +281,22 @@ def measure_flow(
             _, base, proposal = best
             first = next(white for _, white, rival in starts if rival is proposal)
             diagnosis, excess = diagnosed(first, proposal)
+    simpler = [
+        own
+        for own in starts
+        if own[1].model.pattern.waves.shape == first.model.pattern.waves.shape
+        and len(own[1].names) < len(first.names)
+    ]
+    if simpler:  # a cause beside it may be what the freer shape stands in for
+        _, plain, start = min(simpler, key=lambda own: len(own[1].names))
+        fewer = len(diagnosis.posterior.names) - len(plain.names) - 1
+        least = diagnosis.posterior.log_likelihood - 6.0 * fewer
+        found, gap = diagnosed(plain, start, least)
+        if found.posterior.bic < diagnosis.posterior.bic:
+            others = [own for own in others if own[2] is not start]
+            others.append((_loose(base), diagnosis.posterior, proposal))
+            base, first, proposal = found.posterior, plain, start
+            diagnosis, excess = found, gap
     posterior, suspects = diagnosis.believed, diagnosis.suspects
     of_flow = any(own.of_flow for own in suspects)
     refitted = diagnosis.posterior is not diagnosis.believed

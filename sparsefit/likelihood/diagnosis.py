@@ -103,6 +103,7 @@ def diagnose(
     freed: Sequence[str] = (),
     *,
     shapes: bool = True,
+    least: float = -math.inf,
     inside: Callable[[Posterior], bool] = lambda posterior: True,
 ) -> Diagnosis:
     """Find causes, disturbances and a freer shape, one after another, from a flow's optimum.
@@ -112,6 +113,7 @@ def diagnose(
         posterior: of the flow with white process noise.
         freed: names of `FREEDOMS` that are free already.
         shapes: whether a freer shape may be the answer; else it is a misfit.
+        least: the log-likelihood without which a diagnosis is of no use.
         inside: whether an optimum is that of the proposed flow.
     """
     first = believed = posterior
@@ -129,12 +131,12 @@ def diagnose(
     def attempt(trials: Iterable[Trial]) -> None:
         """Fit trials, but those that come nowhere near the best; keep the plausible ones."""
         for trial in trials:
-            least = posterior.log_likelihood
+            enough = max(posterior.log_likelihood, least)
             if leaders := list(filter(eligible, fits)):
                 leader = max(leaders, key=merit)
                 rivalry = max(leader[1].evidence, CHANCE) if leader[0].suspicious else 0.0
-                least = max(least, merit(leader) + 2.0 * trial.freedom - rivalry)
-            there = refit(trial.models, posterior, least)
+                enough = max(enough, merit(leader) + 2.0 * trial.freedom - rivalry)
+            there = refit(trial.models, posterior, enough)
             if there is not None and plausible(there, first):
                 fits.append((trial, there))
 
