@@ -290,6 +290,7 @@ def measure_flow(
     if simpler:  # a cause beside it may be what the freer shape stands in for
         _, plain, start = min(simpler, key=lambda own: len(own[1].names))
         fewer = len(diagnosis.posterior.names) - len(plain.names) - 1
+        # BIC of 160,000 readings asks no more of a simpler shape with a cause.
         least = diagnosis.posterior.log_likelihood - 6.0 * fewer
         found, gap = diagnosed(plain, start, least)
         if found.posterior.bic < diagnosis.posterior.bic:

@@ -392,7 +392,7 @@ def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     own = pa.struct({name: types[name] for name in types if name not in plan.columns})
     try:
         bodies = pa.array([row.values for row in rows], own)
-    except (pa.ArrowInvalid, pa.ArrowTypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:  # of Arrow, or of Python
         words = f"a row has a value of another type ({error}): study run --fresh starts over"
         raise InputError(f"{STORE}: {words}") from None
     for name, kind in kinds.items():
