@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from sparsefit import backends
 from sparsefit.errors import InputError, number_setting, one_of, shown
@@ -72,10 +74,12 @@ class Estimator:
         Several flights have one flow, one frame and one clock; each has a vehicle and noise of its
         own, any length and any sample rate. Raises InputError where a flight does not suit the
         settings (too few samples for the derivative, say); flights that cannot tell the parameters
-        have status ``unidentifiable``, those through another flow than was fitted ``misfit``.
+        have status ``unidentifiable``, those through another flow than was fitted ``misfit``. The
+        linear algebra runs on one thread: its matrices are too small for more.
         """
-        prepared = self.prepare(flights, shared=False)
-        return self.read(prepared, self.fit(prepared))
+        with _blas().limit(limits=1):
+            prepared = self.prepare(flights, shared=False)
+            return self.read(prepared, self.fit(prepared))
 
     def prepare(self, flights: Flight | Sequence[Flight], *, shared: bool = True) -> Prepared:
         """Derivatives, flow velocity and regression problem of a flight, or of several.
@@ -194,3 +198,11 @@ class Estimator:
     def from_json(cls, text: str) -> Estimator:
         """Read an estimator written by ``to_json``. Raises InputError on anything else."""
         return cls(**saved.parts_of(saved.record_of(text)))
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """Thread pools of the linear algebra of NumPy and SciPy, whose own is loaded here."""
+    import scipy.linalg  # noqa: F401
+
+    return ThreadpoolController().select(user_api="blas")
