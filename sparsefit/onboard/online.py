@@ -127,6 +127,11 @@ class OnlineEstimator:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state, _lock=threading.RLock())
 
+    def __repr__(self) -> str:
+        grid = self.estimator.library.grid
+        bounds = f"{grid.lower:g} to {grid.upper:g} m"
+        return f"<OnlineEstimator of cells of {bounds} after {self._count} samples>"
+
     def restart(self) -> None:
         """Discard all samples; the next may have any time."""
         with self._lock:
