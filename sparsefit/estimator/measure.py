@@ -163,6 +163,33 @@ class Measured:
         return parts
 
 
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A proposed flow at the maximum of its likelihood."""
+
+    posterior: Posterior
+    proposal: Proposal
+
+    @cached_property
+    def loose(self) -> bool:
+        """Whether waves make no cells, or make more flows, one of them weaker than turbulence.
+
+        Cells come first, and the rest is turbulence.
+        """
+        waves = self.posterior.model.pattern.waves
+        parts = flows_of(waves[:, :2], waves[:, 2:4])
+        squares = np.sum(waves[:, :2] ** 2, axis=1) * np.sum(waves[:, 2:4] ** 2, axis=1)
+        weakest = 0.25 * min(float(squares[part].sum()) for part in parts)  # of a component
+        gusts = self.posterior.model.disturbance.levels.get("turbulence", 0.0) ** 2
+        several = len(waves) == 4 and (len(parts) == 1 or weakest < gusts)
+        return len(waves) % 2 == 1 or several
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """The order of starts, best first: cells, then BIC."""
+        return self.loose, self.posterior.bic
+
+
 def measure_flow(
     prepared: Prepared, proposals: Sequence[Proposal], free: tuple[str, ...] | str, *, shapes: bool
 ) -> Measured | None:
@@ -182,11 +209,94 @@ def measure_flow(
     evident = ("latency",) if any(prepared.latencies) else ()
     asked = evident if free == "auto" else free
     names = tuple(dict.fromkeys((*prepared.library.unknown, *asked)))
+    near = NEAR * math.pi / prepared.search.extent
+    starts = _measured(prepared, logs, proposals, names, near)
+    if not starts:
+        return None
+
+    def diagnosed(start: Start, least: float = -math.inf) -> tuple[Diagnosis, float]:
+        """The diagnosis of a start, and its excess over turbulence (`_excess`)."""
+        first, proposal = start.posterior, start.proposal
+        alone = Diagnosis(first, first)
+        goodness = Goodness.of(first, alone)
+        white = goodness.whiteness > 1e-6 or first.exact or first.pushed
+        clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
+        excess = math.inf if clear else _excess(prepared, logs, first)
+        followed = not prepared.too_fast(first.model.pattern.length_scale)
+        if not followed or not (excess > -HIDDEN or goodness.r_squared > MOSTLY):
+            return alone, excess
+        around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
+        found = diagnose(
+            logs,
+            first,
+            names,
+            shapes=shapes,
+            least=least,
+            inside=lambda own: own.model.pattern.is_near(proposal.wavevectors, around),
+        )
+        return found, excess
+
+    first, *others = starts
+    diagnosis, excess = diagnosed(first)
+    compared = first.posterior  # with those of the others
+    if diagnosis.believed.model.disturbance.processes:
+        # Waves may have fitted the gusts: all starts are compared with these in the model.
+        beside = [Start(diagnosis.believed, first.proposal)]
+        for own in others:
+            again = _beside(diagnosis.believed, own, logs)
+            if again is not None and again.model.pattern.is_near(own.proposal.wavevectors, near):
+                beside.append(Start(again, own.proposal))
+        best = min(beside, key=lambda own: own.rank)
+        others, compared = [own for own in beside if own is not best], best.posterior
+        if best is not beside[0]:
+            first = next(own for own in starts if own.proposal is best.proposal)
+            diagnosis, excess = diagnosed(first)
+    shape = first.posterior.model.pattern.waves.shape
+    alike = [own for own in starts if own.posterior.model.pattern.waves.shape == shape]
+    plain = min(alike, key=lambda own: len(own.posterior.names))
+    if len(plain.posterior.names) < len(first.posterior.names):
+        # A cause beside it may be what the freer shape stands in for.
+        fewer = len(diagnosis.posterior.names) - len(plain.posterior.names) - 1
+        # BIC of 160,000 readings asks no more of a simpler shape with a cause.
+        found, gap = diagnosed(plain, diagnosis.posterior.log_likelihood - 6.0 * fewer)
+        if found.posterior.bic < diagnosis.posterior.bic:
+            others = [own for own in others if own.proposal is not plain.proposal]
+            others.append(Start(diagnosis.posterior, first.proposal))
+            first, compared, diagnosis, excess = plain, found.posterior, found, gap
+    posterior, suspects = diagnosis.believed, diagnosis.suspects
+    of_flow = any(own.of_flow for own in suspects)
+    refitted = diagnosis.posterior is not diagnosis.believed
+    slight = refitted and not of_flow and posterior.apart(diagnosis.posterior) < SLIGHT
+    if free == "auto" or (suspects and len(logs) == 1 and slight):
+        posterior, suspects = diagnosis.posterior, ()
+    rivals = list[Proposal]()
+    for own in others:
+        answers = first.posterior, diagnosis.posterior
+        near_both = min(each.apart(own.posterior) for each in answers) <= APART
+        if not (own.loose or near_both) and own.posterior.bic - compared.bic < CLOSE:
+            rivals.append(own.proposal)
+    goodness = Goodness.of(posterior, diagnosis)
+    excess += 2 * (diagnosis.posterior.log_likelihood - first.posterior.log_likelihood)
+    excess -= 4 * (len(diagnosis.posterior.names) - len(first.posterior.names))
+    freed = (*names, *(own.free for own in diagnosis.suspects if not suspects))
+    return Measured(
+        first.proposal, tuple(proposals), diagnosis, posterior, suspects, freed, goodness,
+        rivals[0] if rivals else None, excess > 0,
+    )  # fmt: skip
+
+
+def _measured(
+    prepared: Prepared,
+    logs: Sequence[FlightLog],
+    proposals: Sequence[Proposal],
+    names: Sequence[str],
+    near: float,
+) -> list[Start]:
+    """The proposals at the maxima of their likelihoods, best first; names: those of freedoms."""
     late = prepared.latencies if "latency" in names else [0.0] * len(logs)
     constants = [
         own for name in names for own in FREEDOMS[name].elements if not FREEDOMS[name].wanders
     ]
-    near = NEAR * math.pi / prepared.search.extent
     least, grid = min(own.residual for own in proposals), prepared.library.grid
     likely = []
     for own in proposals:
@@ -194,11 +304,11 @@ def measure_flow(
         within = (lengths > 0.75 * grid.lower).all() and (lengths < 1.25 * grid.upper).all()
         if own.residual <= WORSE * least and within:
             likely.append(own)
-    starts: list[tuple[bool, Posterior, Proposal]] = []
+    starts = list[Start]()
     chosen = lobes(likely, near)[:MOST]
     chosen.sort(key=lambda own: len(own.wavevectors) % 2)  # an odd number makes no cells
     for proposal in chosen:
-        if len(proposal.wavevectors) % 2 and not all(loose for loose, _, _ in starts):
+        if len(proposal.wavevectors) % 2 and not all(own.loose for own in starts):
             break
         waves = proposal.wavevectors, proposal.cosine, proposal.sine
         pattern = StreamPattern.of_waves(proposal.shape, *waves, proposal.velocity)
@@ -226,111 +336,26 @@ def measure_flow(
             phases = there.model.pattern.waves[:, [0, 1, 4]]
             proposal = prepared.search.proposed_at(proposal, phases) or proposal
         if there.model.pattern.is_near(proposal.wavevectors, near):
-            starts.append((_loose(there), there, proposal))
-    if not starts:
-        return None
-    starts.sort(key=lambda own: (own[0], own[1].bic))
-    cells = min(starts, key=lambda own: (own[0], len(own[1].model.pattern.waves)))
-    if cells is not starts[0] and disturbed(cells[1]):
-        gain, _ = scanned(cells[1], process_of("turbulence", cells[1]))
-        if cells[1].bic - gain < starts[0][1].bic:  # more waves only stand in for gusts
+            starts.append(Start(there, proposal))
+    starts.sort(key=lambda own: own.rank)
+    cells = min(
+        starts, key=lambda own: (own.loose, own.posterior.model.pattern.waves.size), default=None
+    )
+    if cells and cells is not starts[0] and disturbed(cells.posterior):
+        gain, _ = scanned(cells.posterior, process_of("turbulence", cells.posterior))
+        if cells.posterior.bic - gain < starts[0].posterior.bic:  # more waves stand in for gusts
             starts = [cells, *(own for own in starts if own is not cells)]
-
-    def diagnosed(
-        first: Posterior, proposal: Proposal, least: float = -math.inf
-    ) -> tuple[Diagnosis, float]:
-        """The diagnosis of a start, and its excess over turbulence (`_excess`)."""
-        alone = Diagnosis(first, first)
-        goodness = Goodness.of(first, alone)
-        white = goodness.whiteness > 1e-6 or first.exact or first.pushed
-        clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
-        excess = math.inf if clear else _excess(prepared, logs, first)
-        followed = not prepared.too_fast(first.model.pattern.length_scale)
-        if not followed or not (excess > -HIDDEN or goodness.r_squared > MOSTLY):
-            return alone, excess
-        around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
-        found = diagnose(
-            logs,
-            first,
-            names,
-            shapes=shapes,
-            least=least,
-            inside=lambda own: own.model.pattern.is_near(proposal.wavevectors, around),
-        )
-        return found, excess
-
-    (_, first, proposal), *others = starts
-    diagnosis, excess = diagnosed(first, proposal)
-    base = first
-    if diagnosis.believed.model.disturbance.processes:
-        # Waves may have fitted the gusts: all starts are compared with these in the model.
-        base = diagnosis.believed
-        beside = [(_loose(base), base, proposal)]
-        for _, white, rival in others:
-            pairs = zip(white.models, base.models, strict=True)
-            gusty = [own.with_processes(gusts.disturbance.processes) for own, gusts in pairs]
-            least = -math.inf
-            if not _loose(base):  # else others come first
-                least = white.log_likelihood + 0.5 * (white.bic - base.bic - CLOSE)
-            again = fitted(logs, gusty, white, least=least)
-            if again is not None and again.model.pattern.is_near(rival.wavevectors, near):
-                beside.append((_loose(again), again, rival))
-        best = min(beside, key=lambda each: (each[0], each[1].bic))
-        others = [each for each in beside if each is not best]
-        if best is not beside[0]:
-            _, base, proposal = best
-            first = next(white for _, white, rival in starts if rival is proposal)
-            diagnosis, excess = diagnosed(first, proposal)
-    simpler = [
-        own
-        for own in starts
-        if own[1].model.pattern.waves.shape == first.model.pattern.waves.shape
-        and len(own[1].names) < len(first.names)
-    ]
-    if simpler:  # a cause beside it may be what the freer shape stands in for
-        _, plain, start = min(simpler, key=lambda own: len(own[1].names))
-        fewer = len(diagnosis.posterior.names) - len(plain.names) - 1
-        # BIC of 160,000 readings asks no more of a simpler shape with a cause.
-        least = diagnosis.posterior.log_likelihood - 6.0 * fewer
-        found, gap = diagnosed(plain, start, least)
-        if found.posterior.bic < diagnosis.posterior.bic:
-            others = [own for own in others if own[2] is not start]
-            others.append((_loose(base), diagnosis.posterior, proposal))
-            base, first, proposal = found.posterior, plain, start
-            diagnosis, excess = found, gap
-    posterior, suspects = diagnosis.believed, diagnosis.suspects
-    of_flow = any(own.of_flow for own in suspects)
-    refitted = diagnosis.posterior is not diagnosis.believed
-    slight = refitted and not of_flow and posterior.apart(diagnosis.posterior) < SLIGHT
-    if free == "auto" or (suspects and len(logs) == 1 and slight):
-        posterior, suspects = diagnosis.posterior, ()
-    rivals = list[Proposal]()
-    for waves_alone, other, rival in others:
-        near_both = min(own.apart(other) for own in (first, diagnosis.posterior)) <= APART
-        if not (waves_alone or near_both) and other.bic - base.bic < CLOSE:
-            rivals.append(rival)
-    goodness = Goodness.of(posterior, diagnosis)
-    excess += 2 * (diagnosis.posterior.log_likelihood - first.log_likelihood)
-    excess -= 4 * (len(diagnosis.posterior.names) - len(first.names))
-    freed = (*names, *(own.free for own in diagnosis.suspects if not suspects))
-    return Measured(
-        proposal, tuple(proposals), diagnosis, posterior, suspects, freed, goodness,
-        rivals[0] if rivals else None, excess > 0,
-    )  # fmt: skip
+    return starts
 
 
-def _loose(posterior: Posterior) -> bool:
-    """Whether waves make no cells, or make more flows, one of which is weaker than turbulence.
-
-    Cells come first, and the rest is turbulence.
-    """
-    waves = posterior.model.pattern.waves
-    parts = flows_of(waves[:, :2], waves[:, 2:4])
-    squares = np.sum(waves[:, :2] ** 2, axis=1) * np.sum(waves[:, 2:4] ** 2, axis=1)
-    weakest = 0.25 * min(float(squares[part].sum()) for part in parts)  # of a component
-    gusts = posterior.model.disturbance.levels.get("turbulence", 0.0) ** 2
-    several = len(waves) == 4 and (len(parts) == 1 or weakest < gusts)
-    return len(waves) % 2 == 1 or several
+def _beside(base: Posterior, start: Start, logs: Sequence[FlightLog]) -> Posterior | None:
+    """A start with the processes of a base in its model; None if it comes nowhere near its BIC."""
+    white = start.posterior
+    pairs = zip(white.models, base.models, strict=True)
+    gusty = [own.with_processes(gusts.disturbance.processes) for own, gusts in pairs]
+    least = white.log_likelihood + 0.5 * (white.bic - base.bic - CLOSE)
+    loose = Start(base, start.proposal).loose  # then others come first
+    return fitted(logs, gusty, white, least=-math.inf if loose else least)
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
