@@ -164,7 +164,7 @@ class Measured:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class Optimum:
     """A proposed flow at the maximum of its likelihood."""
 
     posterior: Posterior
@@ -214,7 +214,7 @@ def measure_flow(
     if not starts:
         return None
 
-    def diagnosed(start: Start, least: float = -math.inf) -> tuple[Diagnosis, float]:
+    def diagnosed(start: Optimum, least: float = -math.inf) -> tuple[Diagnosis, float]:
         """The diagnosis of a start, and its excess over turbulence (`_excess`)."""
         first, proposal = start.posterior, start.proposal
         alone = Diagnosis(first, first)
@@ -241,11 +241,11 @@ def measure_flow(
     compared = first.posterior  # with those of the others
     if diagnosis.believed.model.disturbance.processes:
         # Waves may have fitted the gusts: all starts are compared with these in the model.
-        beside = [Start(diagnosis.believed, first.proposal)]
+        beside = [Optimum(diagnosis.believed, first.proposal)]
         for own in others:
             again = _beside(diagnosis.believed, own, logs)
             if again is not None and again.model.pattern.is_near(own.proposal.wavevectors, near):
-                beside.append(Start(again, own.proposal))
+                beside.append(Optimum(again, own.proposal))
         best = min(beside, key=lambda own: own.rank)
         others, compared = [own for own in beside if own is not best], best.posterior
         if best is not beside[0]:
@@ -261,7 +261,7 @@ def measure_flow(
         found, gap = diagnosed(plain, diagnosis.posterior.log_likelihood - 6.0 * fewer)
         if found.posterior.bic < diagnosis.posterior.bic:
             others = [own for own in others if own.proposal is not plain.proposal]
-            others.append(Start(diagnosis.posterior, first.proposal))
+            others.append(Optimum(diagnosis.posterior, first.proposal))
             first, compared, diagnosis, excess = plain, found.posterior, found, gap
     posterior, suspects = diagnosis.believed, diagnosis.suspects
     of_flow = any(own.of_flow for own in suspects)
@@ -291,7 +291,7 @@ def _measured(
     proposals: Sequence[Proposal],
     names: Sequence[str],
     near: float,
-) -> list[Start]:
+) -> list[Optimum]:
     """The proposals at the maxima of their likelihoods, best first; names: those of freedoms."""
     late = prepared.latencies if "latency" in names else [0.0] * len(logs)
     constants = [
@@ -304,7 +304,7 @@ def _measured(
         within = (lengths > 0.75 * grid.lower).all() and (lengths < 1.25 * grid.upper).all()
         if own.residual <= WORSE * least and within:
             likely.append(own)
-    starts = list[Start]()
+    starts = list[Optimum]()
     chosen = lobes(likely, near)[:MOST]
     chosen.sort(key=lambda own: len(own.wavevectors) % 2)  # an odd number makes no cells
     for proposal in chosen:
@@ -336,7 +336,7 @@ def _measured(
             phases = there.model.pattern.waves[:, [0, 1, 4]]
             proposal = prepared.search.proposed_at(proposal, phases) or proposal
         if there.model.pattern.is_near(proposal.wavevectors, near):
-            starts.append(Start(there, proposal))
+            starts.append(Optimum(there, proposal))
     starts.sort(key=lambda own: own.rank)
     cells = min(
         starts, key=lambda own: (own.loose, own.posterior.model.pattern.waves.size), default=None
@@ -348,13 +348,13 @@ def _measured(
     return starts
 
 
-def _beside(base: Posterior, start: Start, logs: Sequence[FlightLog]) -> Posterior | None:
+def _beside(base: Posterior, start: Optimum, logs: Sequence[FlightLog]) -> Posterior | None:
     """A start with the processes of a base in its model; None if it comes nowhere near its BIC."""
     white = start.posterior
     pairs = zip(white.models, base.models, strict=True)
     gusty = [own.with_processes(gusts.disturbance.processes) for own, gusts in pairs]
     least = white.log_likelihood + 0.5 * (white.bic - base.bic - CLOSE)
-    loose = Start(base, start.proposal).loose  # then others come first
+    loose = Optimum(base, start.proposal).loose  # then others come first
     return fitted(logs, gusty, white, least=-math.inf if loose else least)
 
 

@@ -14,7 +14,7 @@ from sparsefit import backends
 from sparsefit.cli.printed import ReadLog, lines
 from sparsefit.estimator import Doubt
 from sparsefit.estimator.estimator import Estimator
-from sparsefit.estimator.measure import _loose, lobes, measure_flow, read_waves
+from sparsefit.estimator.measure import Optimum, lobes, measure_flow, read_waves
 from sparsefit.flows import ShapedCells
 from sparsefit.logs.checks import LogQuality
 from sparsefit.model import Start, propose
@@ -211,7 +211,8 @@ def test_waves_are_read_by_hand():
 def test_waves_are_loose_but_for_cells_of_one_flow_or_of_two():
     def loose(*waves, **levels):
         pattern, air = SimpleNamespace(waves=np.array(waves)), SimpleNamespace(levels=levels)
-        return _loose(SimpleNamespace(model=SimpleNamespace(pattern=pattern, disturbance=air)))
+        model = SimpleNamespace(pattern=pattern, disturbance=air)
+        return Optimum(SimpleNamespace(model=model), None).loose
 
     cells = [[1.0, 0.0, 2.0, 0.0, 0.0], [0.0, 1.0, 0.0, 2.0, 0.0]]
     more, odd = [[0.5, 0.5, 5.0, 0.0, 0.0], [0.5, -0.5, 0.0, 5.0, 0.0]], [0.5, -0.5, 9.0, 9.0, 0.0]
