@@ -220,14 +220,15 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
         x = on.times(x / np.linalg.norm(x))
     step, sweep = 1.0 / (1.05 * float(np.linalg.norm(x))), compiled("sweeps").descend_clusters
     penalty, sums = on.penalty, np.concatenate([[0.0], np.cumsum(on.penalty.weights)])
-    columns, trail = None, list[tuple[float, Array]]()
+    columns, trail, bends = None, list[tuple[float, Array]](), gram is None
     if gram is None:
         means = np.zeros(len(x)) if on.direction is None else rows.T @ on.direction
         columns = (rows.data, rows.indices, rows.indptr, on.samples, means)
 
     def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
+        nonlocal bends
         gap, rounds, met = np.inf, 0, bool(values.any())
-        if alpha in warm_starts:
+        if alpha in warm_starts or not bends:
             values, met = towards_clusters_optimum(on, alpha, values)
         elif len(trail) > 1 and trail[-2][0] > trail[-1][0]:  # the path is nearly straight
             (above, first), (last, second) = trail[-2:]
@@ -241,9 +242,12 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
             state = target - on.off(rows @ values) if columns else on.cross - on.times(values)
             price = alpha * sums
             met = not sweep(gram, columns, price, state[:, 0], values[:, 0], SWEEPS)
-            if not met or rounds >= ALIKE:
+            going = not met or rounds >= ALIKE
+            while going:
                 values, met = towards_clusters_optimum(on, alpha, values)
+                going = met and gram is not None
         trail.append((alpha, values))
+        bends = gram is None or rounds > 1
         return values, gap, rounds
 
     return _each(on, alphas, warm_starts, stop, improved)

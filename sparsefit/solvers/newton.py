@@ -348,14 +348,24 @@ def towards_clusters_optimum(on: Columns, alpha: float, values: Array) -> tuple[
         levels = by_gradients(times, right, level, ends=meets, most=STEPS)[0]
     if levels is None:
         return values, False
-    met = bool(np.any(np.diff(levels[:, 0], append=0.0) > 0))
-    if met:  # those that do become one, where the objective falls
-        pooled = isotonic_regression(levels[:, 0], weights=counts, increasing=False).x
-        levels = np.maximum(pooled, 0.0)[:, None]
-        move = levels - level
+
+    def pooled(x: Array) -> Array:
+        flat = isotonic_regression(x[:, 0], weights=counts, increasing=False).x
+        return np.maximum(flat, 0.0)[:, None]
+
+    above, after = (-np.diff(x[:, 0], append=0.0) for x in (level, levels))
+    meet = after < 0.0
+    met = bool(meet.any())
+    if met:  # those that do become one, where the objective falls, else the first that do
+        whole = pooled(levels)
+        move = whole - level
         fall, bend = (float(np.vdot(move, x)) for x in (right - times(level), times(move)))
-        if fall < 0.5 * bend:
-            levels = level + max(fall / bend, 0.0) * move
+        if fall < 0.5 * bend and on.gram is None:
+            whole = level + max(fall / bend, 0.0) * move
+        elif fall < 0.5 * bend:
+            share = np.min(above[meet] / (above - after)[meet]) * (1.0 + 1e-12)
+            whole = pooled(level + share * (levels - level))
+        levels = whole
     out = np.zeros_like(values)
     out[order] = sign * np.repeat(levels, counts, axis=0)
     return out, met

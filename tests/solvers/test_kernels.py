@@ -232,8 +232,8 @@ def test_clusters_that_meet_on_the_way_to_their_optimum_are_pooled_where_the_obj
     assert np.hstack([pooled, moved]) == pytest.approx(np.array([[2.0, 2.0], [-2.0, -2.0]]))
     assert (met, meets) == (True, False)
     steep = Columns(penalty, np.array([[102.0], [-4.0]]), 1, np.diag([100.0, 1.0]))
-    stays = np.array([[1.1], [-1.0]])
-    assert towards_clusters_optimum(steep, 1.0, stays)[0] == pytest.approx(stays)
+    near, meet = np.array([[1.1], [-1.0]]), 1.1 - 0.1 * 0.1 / 2.1
+    assert towards_clusters_optimum(steep, 1.0, near)[0] == pytest.approx(meet * np.sign(near))
 
 
 def test_a_target_that_no_column_correlates_with_has_weights_of_zero():
