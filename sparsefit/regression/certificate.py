@@ -31,7 +31,8 @@ are larger by the `spread` of a design off which a mean was taken. With Huber's 
 a row beyond the knot by more than its rounding: rho is that of the other rows, and an outlier of
 any size moves P by its own rounding times |u_i| alone.
 
-Where Z'Z was formed, squares are certified without the rows: with G = Z'Z/m, B = Z'Y/m and c = y^2,
+Where Z'Z, or its rows of the columns in use, were formed, squares are certified without the rows
+of Z: with G = Z'Z/m, B = Z'Y/m and c = y^2,
 
     C = B - G V,   q = c - <V, B>,   r = q - <V, C>;
 
@@ -53,7 +54,7 @@ from typing import Literal
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, IntArray
 from sparsefit.regression.design import Design, in_blocks
 from sparsefit.regression.losses import SQUARES, RootSquares, Squares
 from sparsefit.regression.penalties import Penalty, SquaredNorm
@@ -63,6 +64,8 @@ SMALL = 1e-10  # the gap from which a square-root fit is not judged by its signs
 FLOORS = (0.0, 1e-8)  # of the largest weight, below which one has no sign: an interior point's
 SHARES = (1.0, *(1.0 - np.geomspace(1e-14, 0.1, 14)), *np.geomspace(0.8, 1e-8, 20))
 """The s that are tried where weights have bounds."""
+Sums = tuple[Array, IntArray, Array]
+"""B (k, n), columns J (j,) and Z_J'Z/m (j, k)."""
 
 
 @dataclass(frozen=True)
@@ -120,13 +123,13 @@ class DualPoint:
 
     @classmethod
     def of_products(
-        cls, design: Design, cross: Array, level: Array, scaled: Array, gamma: float
+        cls, design: Design, sums: Sums, level: Array, scaled: Array, gamma: float
     ) -> "DualPoint":
-        """The point u = R of V (p, k, n) by Z'Z, from B (k, n) and y (n,)."""
-        across = scaled.transpose(0, 2, 1)
+        """The point u = R of V (p, k, n) by its sums and y (n,)."""
+        (cross, used, rows), across = sums, scaled.transpose(0, 2, 1)
         product = level**2 - (across * cross.T).sum(axis=2)
-        fitted = (across.reshape(-1, len(cross)) @ design.gram).reshape(across.shape)
-        correlation = (cross.T - fitted).transpose(0, 2, 1)
+        fitted = across.reshape(-1, len(cross)).take(used, 1) @ rows
+        correlation = (cross.T - fitted.reshape(across.shape)).transpose(0, 2, 1)
         square = np.maximum(product - (scaled * correlation).sum(axis=1), 0.0)
         reach = level + np.abs(scaled).sum(axis=1)
         error = design.spread**2 * gamma * reach
@@ -196,7 +199,7 @@ def duality_gaps(
 ) -> tuple[Certificate, ...]:
     """Certificates of p weights (k, n), in original units, at the penalties alphas (p,).
 
-    cross: Z'Y/m (k, n). With it, and Z'Z where the design has formed that, squares are certified to
+    cross: Z'Y/m (k, n). With it, and what the design has formed of Z'Z, squares are certified to
     ``enough``; what has no such bound is certified by the rows.
     """
     # Columns are the last axis in memory: numpy is slow where that has few entries.
@@ -204,29 +207,36 @@ def duality_gaps(
     scaled, size = scaled.transpose(0, 2, 1), target.shape[1] * max(design.shape)
     entries = 2**19 if design.kind == "sparse" else 2**22  # whose sums are no matrix products
     step, rest, gaps = max(entries // size, 1), np.arange(len(weights)), np.empty((4, len(weights)))
-    if cross is not None and penalty.loss == SQUARES and "gram" in vars(design):
-        gaps[:] = _gaps(design, (target, cross), scaled, alphas, penalty)
+    used = np.flatnonzero(scaled.any(axis=(0, 2)))
+    rows = None if cross is None or penalty.loss != SQUARES else design.formed(used)
+    if cross is not None and rows is not None:
+        gaps[:] = _gaps(design, target, scaled, alphas, penalty, (cross, used, rows))
         rest = np.flatnonzero(~(gaps[0] + gaps[3] <= enough))
     for part in (rest[start : start + step] for start in range(0, len(rest), step)):
-        gaps[:, part] = _gaps(design, (target, None), scaled[part], alphas[part], penalty)
+        gaps[:, part] = _gaps(design, target, scaled[part], alphas[part], penalty)
     return tuple(Certificate("duality_gap", *row) for row in gaps.T.tolist())
 
 
 def _gaps(
-    design: Design, data: tuple[Array, Array | None], scaled: Array, alphas: Array, penalty: Penalty
+    design: Design,
+    target: Array,
+    scaled: Array,
+    alphas: Array,
+    penalty: Penalty,
+    sums: Sums | None = None,
 ) -> tuple[Array, Array, Array, Array]:
     """The gap, P, D and the rounding error (p,) of the gap of V = ``scaled`` (p, k, n).
 
-    data: Y (m, n) with B (k, n), by which and Z'Z they are computed; without it, by the rows.
+    sums: by which they are computed, of J with V_J not 0; without them, by the rows.
     """
-    (count, k, n), loss, cross = scaled.shape, penalty.loss, data[1]
-    target = loss.centred(data[0])
+    (count, k, n), loss, given = scaled.shape, penalty.loss, target
+    target = loss.centred(given)
     level = np.sqrt(design.overlaps(target, target))
     used = int(np.any(scaled.any(axis=0), axis=1).sum())
     gamma = rounding_of(design.terms + 2 * used * n + 20)
     linear = np.zeros(count)
-    if cross is not None:
-        point = DualPoint.of_products(design, cross, level, scaled, gamma)
+    if sums:
+        point = DualPoint.of_products(design, sums, level, scaled, gamma)
         overlap = point.square  # u = R
     else:
         flat = scaled.transpose(1, 0, 2).reshape(k, -1)
@@ -234,7 +244,7 @@ def _gaps(
         size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
         rho = unit * (level + size)
         if np.isfinite(loss.clip):
-            rest, pull, rho, linear = _clipped(design, data[0], loss, rest, size, unit)
+            rest, pull, rho, linear = _clipped(design, given, loss, rest, size, unit)
         overlap = design.overlaps(pull, rest).reshape(count, n)
         point = DualPoint.of(design, target, pull, gamma, rho)
     primal = loss.primal(point.square, overlap, level) + alphas * penalty.value(scaled)

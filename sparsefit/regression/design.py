@@ -268,6 +268,13 @@ class Design:
         out: Array = np.divide(total, self.rms[others], out=total)
         return out
 
+    def formed(self, index: IntArray) -> Array | None:
+        """Z_J'Z/m (j, k) where Z'Z, or these rows of it for a path, were formed; None else."""
+        if "gram" in vars(self):
+            return self.gram.take(index, 0)
+        values, ready = vars(self).get("rows_of_gram", (None, np.zeros(self.shape[1])))
+        return values.take(index, 0) if ready.take(index).all() and values is not None else None
+
     @cached_property
     def gram(self) -> Array:
         """Z'Z/m (k, k), read-only. Raises InputError where half of the memory is less."""

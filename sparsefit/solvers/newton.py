@@ -37,7 +37,7 @@ OUTER, INNER, HALVINGS = 60, 50, 25
 FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit rms
 PATIENCE = 6  # proximal points without a smaller gap
 EXACT, GRADIENTS = 1e-13, 2000  # relative residual, and the most steps of conjugate gradients
-JOINING, MANY = 24, 72  # rows of G that are formed at a time, and after which all are
+JOINING, MANY = 8, 64  # rows of G that are formed first, then as many again; all after so many
 STEPS = 500  # conjugate gradients at most for the levels of clusters
 INEXACT = 0.1  # of the first residual, to which they are solved where two clusters meet
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
@@ -52,15 +52,17 @@ class Growing:
     def __init__(self, design: Design) -> None:
         self.design, k = design, design.shape[1]
         self.values, self.ready = np.zeros((k, k)), np.zeros(k, np.uint8)
+        vars(design)["rows_of_gram"] = self.values, self.ready  # for certificates
 
     def fill(self, column: int, correlation: Array) -> None:
         """Form the row of a column and some others; all, where MANY are not enough."""
-        if np.count_nonzero(self.ready) >= MANY:
+        count = np.count_nonzero(self.ready)
+        if count >= MANY:
             self.complete()
             return
         rank = np.where(self.ready, -1.0, np.abs(correlation))
         rank[column] = np.inf
-        index = np.sort(np.argsort(-rank, kind="stable")[:JOINING])
+        index = np.sort(np.argsort(-rank, kind="stable")[: max(JOINING, count)])
         self.values[index], self.ready[index] = self.design.products(index, slice(None)), True
 
     def complete(self) -> None:
