@@ -14,6 +14,7 @@ from typing import Any, NoReturn, TypeAlias
 from sparsefit.cli.terminal import Reply
 from sparsefit.codec import Place
 from sparsefit.errors import InputError, one_line, suggestion
+from sparsefit.study.quantities import SYNONYMS
 
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 Run: TypeAlias = Callable[[argparse.Namespace], Reply]
@@ -44,7 +45,8 @@ class Parser(argparse.ArgumentParser):
     def unrecognized(self, words: Iterable[str]) -> NoReturn:
         """Exit with code 2 after one line with the options unknown here and the nearest one."""
         unknown = " ".join(words)
-        near = suggestion(unknown.split(" ")[0].partition("=")[0], self._option_string_actions)
+        typed = unknown.split(" ")[0].partition("=")[0].removeprefix("--")
+        near = suggestion(flag(SYNONYMS.get(typed, typed)), self._option_string_actions)
         near = near if unknown.startswith("-") and "did you mean" in near else ""
         self.error(f"unrecognized arguments: {unknown}{near}")
 

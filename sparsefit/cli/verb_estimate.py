@@ -189,8 +189,6 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
         place = grid if of_grid else record.setdefault(section, {}) if section else record
         place[key] = value
     record["library"]["grid"] = grid
-    if record.get("free") == ["auto"]:
-        record["free"] = "auto"
     return Estimator(**parts_of(record, TypedPlace("")))
 
 

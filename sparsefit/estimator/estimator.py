@@ -59,6 +59,8 @@ class Estimator:
                 f"estimator: unknown {self.library.unknown[0]!r} is measured off the grid alone: "
                 "set readout refine 'variable-projection' and mean_velocity 'rms'"
             )
+        if self.free in (["auto"], ("auto",)):
+            object.__setattr__(self, "free", "auto")
         if self.free != "auto":
             if isinstance(self.free, str) or not isinstance(self.free, Sequence):
                 raise InputError(f'estimator: free must be "auto" or names, not {shown(self.free)}')

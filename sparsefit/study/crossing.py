@@ -22,14 +22,14 @@ from typing import Any, TypeAlias, TypeVar
 
 from sparsefit import Derivative, Estimator, Library, Readout, backends
 from sparsefit.codec import Place, build, made, number, only, shown
-from sparsefit.errors import SparsefitError, suggestion, told_with
+from sparsefit.errors import SparsefitError, is_real, suggestion
 from sparsefit.model import LengthScaleGrid
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.regression.backend import PathBackend
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
-from sparsefit.study.keys import BackendKeys, FlightFile, ProtocolKeys
+from sparsefit.study.keys import BackendKeys, EstimatorKeys, FlightFile, ProtocolKeys
 from sparsefit.study.quantities import nearest
 from sparsefit.study.schema import Section, canonical_json, distinct, names_of, taken
 from sparsefit.study.worker import in_child
@@ -42,12 +42,14 @@ Levels: TypeAlias = Mapping[str, object]  # values by dotted key
 Protocols: TypeAlias = Mapping[str, Levels]  # what each named alternative overrides
 Grid: TypeAlias = Mapping[str, Sequence[Any]]
 Keys = TypeVar("Keys")
+RECORDS: dict[str, type[Any]] = {  # of a section whose keys are the fields of one
+    "derivative": Derivative, "readout": Readout, "online": Stream, "estimator": EstimatorKeys
+}  # fmt: skip
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "flights": FLIGHT_KEYS,
     "derivative": names_of(Derivative),
     "library": (*names_of(LengthScaleGrid), *(n for n in names_of(Library) if n != "grid")),
-    "readout": names_of(Readout),
-    "online": names_of(Stream),
+    **{name: names_of(kind) for name, kind in RECORDS.items() if name != "derivative"},
 }
 
 
@@ -60,6 +62,13 @@ class Setup:
     library: Library
     readout: Readout
     online: Stream = Stream()
+    beside: EstimatorKeys = EstimatorKeys()
+
+    @property
+    def estimator(self) -> Estimator:
+        """The estimator, but for its back-end and tolerance."""
+        parts = (self.derivative, self.library)
+        return Estimator(*parts, readout=self.readout, **vars(self.beside))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,17 +117,16 @@ def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = 
             # Without a word about the grid, the library keeps the default that is its own.
             given = {"grid": grid} if len(rest) < len(section) else {}
             parts[words] = build(Library, given | rest, here)
-        elif name == "readout":
-            parts[words] = build(Readout, {"refine": UNNAMED, **section}, here)
         else:
-            parts[words] = build(Derivative if name == "derivative" else Stream, section, here)
+            default = {"refine": UNNAMED} if name == "readout" else {}
+            parts[words] = build(RECORDS[name], default | dict(section), here)
     setup = Setup(*(parts[words] for words in content))
     combined = "".join(content[1:])
     if combined not in parts:
         # What no estimator can combine is refused here, not in the first case.
-        read = {name: getattr(setup, name) for name in ("derivative", "library", "readout")}
-        with told_with(place.within("online")):
-            setup.online.flying(made(Estimator, read, place))
+        made(Estimator, vars(setup.beside), place.within("estimator"))
+        estimator = made(lambda: setup.estimator, {}, place)
+        made(setup.online.flying, {"estimator": estimator}, place.within("online"))
         parts[combined] = True
     return setup
 
@@ -126,6 +134,12 @@ def read_setup(sections: Sections, place: Place, parts: dict[str, Any] | None = 
 def named(name: str, settings: Mapping[str, object]) -> str:
     """A name with settings: `lasso alpha_fraction=0.1`."""
     return " ".join([name, *(f"{key}={value}" for key, value in settings.items())])
+
+
+def spelled(level: object) -> str:
+    """A level in words: `5`, `0.2 / 0.05` of a list, `none` of an empty one."""
+    levels = level if isinstance(level, list | tuple) else [level]
+    return " / ".join(f"{item:g}" if is_real(item) else str(item) for item in levels) or "none"
 
 
 def points_of(grid: Grid) -> list[dict[str, Any]]:

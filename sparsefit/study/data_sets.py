@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -36,12 +37,13 @@ import numpy as np
 from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError, one_of, optional, suggestion
+from sparsefit.errors import InputError, one_of, optional, suggestion, told_with
 from sparsefit.study.keys import MOST_VALUES, Generator
 from sparsefit.whole_file import regular_file
 
 MOST_BYTES = 1 << 30  # of a file
 LONGEST_LINE = 1 << 20  # bytes
+LABEL = re.compile(rb'(?<=[,;\t\r\n"])0\d+(?=[,;\t\r\n"])')  # 007
 GENERATORS: dict[str, dict[str, Any]] = {  # the settings that a name stands for
     "correlated": {"correlation": 0.8},
     "wide": {"samples": 100, "columns": 2000},
@@ -131,6 +133,9 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
             between = max(",;\t", key=head.count)
             (names,) = reader([head], delimiter=between)
             while block := file.read(LONGEST_LINE):
+                if label := LABEL.search(block):
+                    words = f"holds {label[0].decode()}, a name and no number"
+                    raise InputError(f"{path}: {words}: leave its column out, or drop the zeros")
                 lines += max(block.count(b"\n"), block.count(b"\r"))
                 _check_size(path, lines * len(names))
             table = csv.read_csv(
@@ -168,7 +173,8 @@ def read_data(path: Path, target: Sequence[str] = (), like: Data | None = None) 
         InputError: if there is no such file, it is too large, holds no theta or target, anything
             but numbers, or other columns than the data that it is to be like.
     """
-    one_of("file type", path.suffix.lower() or path.name, (".npz", ".csv", ".parquet"))
+    with told_with(path):
+        one_of("file type", path.suffix.lower() or path.name, (".npz", ".csv", ".parquet"))
     if path.suffix.lower() == ".npz":
         if target:
             raise InputError(f"{path}: has its target as an array of that name: drop the key")
@@ -264,14 +270,19 @@ def drawn(rules: Generator, seed: np.random.SeedSequence) -> Data:
 
 def altered(name: str, data: Data, draw: np.random.Generator) -> Data:
     """A degenerate problem with these arrays, dense, by a name of `keys.Alteration`."""
-    theta = np.array(data.theta if isinstance(data.theta, np.ndarray) else data.theta.toarray())
-    target, k = data.target.copy(), theta.shape[1]
+    k, size, truth = data.theta.shape[1], 1.0, data.truth
+    source, scale = np.arange(k), np.ones(k)
     match name:
         case "duplicated columns":  # a fifth: copies, negatives and multiples of others
-            count = max(1, k // 5)
-            to, source = draw.choice(k, count, replace=False), draw.integers(0, k, count)
-            theta[:, to] = theta[:, source] * draw.choice([-2.0, -1.0, 1.0, 3.0], count)
+            to = draw.choice(k, count := max(1, k // 5), replace=False)
+            source[to], truth = draw.integers(0, k, count), None  # a copy is as true
+            scale[to] = draw.choice([-2.0, -1.0, 1.0, 3.0], count)
         case "units 1e-12 to 1e12":
-            theta *= 10.0 ** draw.uniform(-12, 12, k)
-            target *= 10.0 ** draw.uniform(-12, 12)
-    return Data(theta, target, data.groups)
+            scale, size = 10.0 ** draw.uniform(-12, 12, k), 10.0 ** draw.uniform(-12, 12)
+
+    def changed(own: Data) -> Data:
+        theta = own.theta if isinstance(own.theta, np.ndarray) else own.theta.toarray()
+        theta, test = theta.take(source, 1) * scale, own.test and changed(own.test)
+        return replace(own, theta=theta, target=own.target * size, truth=truth, test=test)
+
+    return changed(data)

@@ -6,6 +6,7 @@ import json
 import runpy
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import resources
@@ -17,6 +18,7 @@ import numpy as np
 from sparsefit.arrays import IntArray
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, suggestion, unknown
+from sparsefit.study.crossing import spelled
 from sparsefit.study.measures import Measure, measure, numbers, numeric_factors
 from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import Range, key
@@ -201,13 +203,11 @@ def grouped(
 def level_text(level: Value) -> str:
     """Return a level in words: `[0.5,0.1]`, a pair of a sweep, as `0.5 / 0.1`, and 60.0 as `60`."""
     if isinstance(level, float):
-        return f"{level:g}"
-    try:
-        pair = json.loads(str(level))
-    except json.JSONDecodeError:
-        return str(level)
-    numeric = isinstance(pair, list) and all(isinstance(part, int | float) for part in pair)
-    return " / ".join(f"{part:g}" for part in pair) if numeric else str(level)
+        return spelled(level)
+    with suppress(json.JSONDecodeError):
+        if isinstance(listed := json.loads(str(level)), list):
+            return spelled(listed)
+    return str(level)
 
 
 def levels_of(cases: pd.DataFrame, factor: str) -> pd.Series:

@@ -144,13 +144,9 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
 
 def estimator_of(plan: Any, cell: Cell) -> Estimator:
     """The estimator of a cell: derivative, library, back-end and readout, the study's tolerance."""
-    estimator = Estimator(
-        derivative=cell.setup.derivative,
-        library=cell.setup.library,
-        backend=backends.get(cell.backend.name, **cell.backend.settings),
-        readout=cell.setup.readout,
-        tolerance=plan.definition.run.tolerance,
-    )
+    backend = backends.get(cell.backend.name, **cell.backend.settings)
+    tolerance = plan.definition.run.tolerance
+    estimator = replace(cell.setup.estimator, backend=backend, tolerance=tolerance)
     return as_flown(estimator) if plan.on_board else estimator
 
 

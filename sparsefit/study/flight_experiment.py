@@ -308,9 +308,7 @@ def _of_flight(key: str) -> bool:
 
 def level_words(key: str, level: object) -> str:
     """A level in words: `duration 5`, `measurement_noise 0.2 / 0.05`."""
-    levels = level if isinstance(level, list | tuple) else [level]
-    words = " / ".join(f"{item:g}" if is_real(item) else str(item) for item in levels)
-    return f"{key.partition('.')[2]} {words}"
+    return f"{key.partition('.')[2]} {crossing.spelled(level)}"
 
 
 def _half_words(protocols: Protocols, worlds: Mapping[str, str] | None = None) -> dict[str, str]:

@@ -135,6 +135,13 @@ class BackendKeys:
 
 
 @dataclass(frozen=True)
+class EstimatorKeys:
+    """The keys of [estimator], settings of no part of it."""
+
+    free: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class ProtocolKeys:
     """The keys of [[protocols]] beside those that it sets."""
 
@@ -249,6 +256,7 @@ class FlightFile(StudyFile):
     library: Section = key(dict)
     readout: Section = key(dict)
     online: Section = key(dict)
+    estimator: Section = key(dict)
     backends: tuple[Section, ...] = key()
     protocols: tuple[Section, ...] = key(())
     sweep: Section = key(dict)

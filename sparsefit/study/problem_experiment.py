@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit import Estimator, RegressionProblem, backends
+from sparsefit import RegressionProblem, backends
 from sparsefit.arrays import BoolArray
 from sparsefit.codec import Place, build, integer, made, only
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_of
@@ -161,7 +161,7 @@ class ProblemExperiment(Plan):
         names = [contender.names for contender in contenders]
         several = Counter(names)
         ends = [f" at {c.tolerance:g}" if several[c.names] > 1 else "" for c in contenders]
-        words = (", ".join(filter(None, each)) for each in telling(names))
+        words = (", ".join(dict.fromkeys(filter(None, each))) for each in telling(names))
         titles = (name or contenders[0].objective for name in words)
         return {
             "condition": [""] * len(contenders),
@@ -292,7 +292,7 @@ def _flown(setup: crossing.Setup, flight: int, count: int, seed: int) -> data_se
     """The arrays of the problem of a flight, as a study of flights would pose it."""
     fleet = setup.flights.draw(flight, count, seed).fleet(stream(seed, flight, SIMULATION))
     blind = [replace(flown, flow=None) for flown in fleet]
-    problem = Estimator(setup.derivative, setup.library).prepare(blind).problem
+    problem = setup.estimator.prepare(blind).problem
     return data_sets.Data(
         problem.theta, problem.target, problem.groups, samples=problem.sample_count
     )

@@ -17,7 +17,7 @@ import numpy as np
 
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures, trials
-from sparsefit.study.entries import factor_words
+from sparsefit.study.entries import factor_words, level_text
 from sparsefit.study.flight_experiment import setting_words
 from sparsefit.study.measures import ROUNDING, factors
 from sparsefit.study.table import listed, significant
@@ -171,7 +171,7 @@ def _in_words(cases: pd.DataFrame) -> pd.DataFrame:
     if (frame["reading"] == "default").all():
         frame["reading"] = ""
     for name in own:
-        frame["reading"] += [f", {factor_words(name)} {level}" for level in frame[name]]
+        frame["reading"] += [f", {factor_words(name)} {level_text(level)}" for level in frame[name]]
     frame["reading"] = frame["reading"].str.removeprefix(", ")
     return frame[["candidate", "title", "backend", "reading", "label"]]
 

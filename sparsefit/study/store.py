@@ -81,7 +81,7 @@ class Row(NamedTuple):
     @property
     def values(self) -> dict[str, Any]:
         """The columns that are not planned, empty ones left out; none of a forged body."""
-        with suppress(ValueError):
+        with suppress(ValueError, RecursionError):
             if isinstance(content := json.loads(self.body), dict):
                 return content
         return {}
@@ -145,7 +145,7 @@ class Store:
                 raise InputError(f"{folder}: has two rows of case {row.case_id}: {words}")
             else:
                 store.status.flat[place] = values["status"]
-                store.version.flat[place] = values.get("version", "unknown")
+                store.version.flat[place] = str(values.get("version", "unknown"))
         if store.unplanned and not store.done.any():
             which = f" (hash {str(made['study_hash'])[:12]})" if made and not same else ""
             raise InputError(

@@ -14,7 +14,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cached_property
 from hashlib import sha256
 from importlib import import_module
@@ -22,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sparsefit.codec import Place, build, shown
-from sparsefit.errors import InputError, SparsefitError, described
+from sparsefit.errors import InputError
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import FlightFile, Heading, Outputs, ProblemFile
@@ -211,21 +210,14 @@ class Study:
         """Run one case of flights again, in this process, with its intermediate results.
 
         Raises:
-            InputError: for an unknown id, with the nearest one.
-            SparsefitError: if the case fails, with its error.
+            InputError: for an unknown id.
+            Exception: that of the case, if it fails.
         """
-        place = self.flights.place_of.get(case_id)
-        if place is None:
-            near, *_ = get_close_matches(case_id, self.planned.case_ids, 1) or self.planned.case_ids
-            where = "its cases.parquet lists them"
-            raise InputError(f"{self.name} plans no case {shown(case_id)}: {where}; try {near}")
+        if (place := self.flights.place_of.get(case_id)) is None:
+            words = "its cases.parquet lists them"
+            raise InputError(f"{self.name} plans no case {shown(case_id)}: {words}")
         unit, cell = self.planned.at(place)
-        try:
-            ((_, reading),) = FlightDesk(self.flights).readings(unit, [cell])
-        except InputError:
-            raise
-        except Exception as error:
-            raise SparsefitError(f"{case_id} ends in an error: {described(error)}") from error
+        ((_, reading),) = FlightDesk(self.flights).readings(unit, [cell])
         return reading
 
     def cells_of(self, candidate: str) -> list[int]:

@@ -113,7 +113,6 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         # at the top
         ("seed = 20201120", "sede = 1", 'key "sede" unknown: did you mean "seed"?'),
         ("seed = 20201120", "seed = -1", '"seed" must be at least 0'),
-        ("seed = 20201120", "seed = true", '"seed" must be a whole number'),
         ("seed = 20201120", f"seed = {'9' * 5000}", "more than 300 digits"),
         ("seed = 20201120", f"seed = 0x{'f' * 5000}", "more than 300 digits"),
         ("seed = 20201120", 'seed = 1\nkind = "flight"', 'did you mean "flights"?'),
@@ -121,23 +120,17 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("question = ", "qestion = ", 'key "qestion" unknown: did you mean "question"?'),
         ('name = "good"', 'name = "../good"', "name must be 1 to 64"),
         ('name = "good"', 'name = ""', '"name" must be one non-empty line'),
-        ('name = "good"', 'name = 3', '"name" must be text'),
         # what is flown
-        ("[flights]", "flights = 3\n[flight]", ":"),
         ("count = 6", "count = 0", '[flights] key "count" must be at least 1'),
         ("count = 6", "", '[flights] key "count" missing'),
         ("response_time = 0.5", "response_time = 0.5\ndropouts = 0.1", 'mean "lost_samples"?'),
         ("response_time = 0.5", "response_time = 0.5\nlost_samples = 2", "and at most 1, not 2"),
-        ("duration = 2.0", 'duration = "2"', '"duration" must be a number'),
         ("duration = 2.0", "duration = -2.0", '"duration" must be above 0'),
         ("duration = 2.0", "duration = [1, 2]", '"duration" must be a number'),
-        ("duration = 2.0", "duration = inf", '"duration" must be a finite number'),
         ("duration = 2.0", "", '"duration" missing: every flight needs it'),
         ("sample_rate = 100.0", "sample_rate = 1e9", "samples: keep it below 5000000"),
         ("{ uniform = [2.0, 10.0] }", "{ uniform = [10.0, 2.0] }", "range [10, 2] is empty"),
         ("{ uniform = [2.0, 10.0] }", "{ uniform = [2.0] }", "uniform takes two numbers"),
-        ("{ uniform = [2.0, 10.0] }", "{ uniform = [] }", "must not be an empty list"),
-        ("{ uniform = [2.0, 10.0] }", "{ uniform = [true, 3] }", "must be a number"),
         ("{ uniform = [2.0, 10.0] }", "{ unifrom = [2, 3] }", 'did you mean "uniform"?'),
         ("{ uniform = [2.0, 10.0] }", "{ loguniform = [-1, 3] }", "must be above 0"),
         ("{ uniform = [2.0, 10.0] }", "{}", "exactly one of"),
@@ -152,13 +145,11 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("response_time = 0.5", "thrust_turn = 2.0", "a flight without drag needs it"),
         ("response_time = 0.5", "drag = 0.2\nthrust_turn = 2.0", "missing: thrust_turn needs it"),
         # how it is read
-        ("upper = 10.0", "upper = 1.0", "[library]"),
         ("step = 1.0", "step = 1.0\ncount = 4", "[library]"),
         ("step = 1.0", "stepp = 1.0", '[library] key "stepp" unknown: did you mean "step"?'),
         ("step = 1.0", 'target = "acceleratoin"', 'did you mean "acceleration"?'),
-        ("step = 1.0", "lower = 1.0", ":"),
-        ('"forward"', '"forwards"', "[derivative]"),
-        ('"signed-sum"', "3", "[readout]"),
+        ("[run]", '[online]\nwindow = 5\n[estimator]\nfree = ["wind"]\n[run]', "[online] this est"),
+        ("[run]", '[estimator]\nfree = ["wnd"]\n[run]', '[estimator] unknown cause to free "wnd"'),
         ('"derivative.method"', '"derivative.methd"', 'did you mean "method"?'),
         ('"derivative.method"', '"derivatve.method"', 'did you mean "derivative.method"?'),
         ('name = "paper"', 'name = "better"', 'lists \'better\' twice'),
@@ -183,10 +174,7 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
           for bad in ("\\u001b[31m", "\\u0007", "\\r", "\\u2028")),
         # the rest
         ("validate = 2", "validate = 3", "counts sum to 7, not to the 6"),
-        ("validate = 2\n", "", '[split] key "validate" missing'),
-        ("validate = 2", "validate = 0", "must be above 0"),
         ("case_timeout = 30.0", "case_timeout = 0", "case_timeout\" must be above 0 [s], not 0"),
-        ("tolerance = 1e-6", "tolerance = 1.0", "must be above 0 and below 1, not 1"),
         ("[run]", "[run]\nmax_memory = 1", "at least 256 [MB]"),
         ("[run]", "[outputs]\ntables = nan\n[run]", "[outputs] tables and figures are names"),
         ("[run]", "[outputs]\ntables = []\n[run]", "must not be an empty list"),
@@ -199,16 +187,12 @@ def test_refusals(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert said in refusal(tmp_path, changed(old, new))
 
 
-def test_not_toml_not_text_not_there_not_a_file(tmp_path: Path) -> None:
+def test_not_toml_not_text(tmp_path: Path) -> None:
     for text, line in (("seed = = 3\n", 1), ("\n[flights\n", 2), ('name = "a', 1)):
         assert refusal(tmp_path, text).startswith(f":{line}: not TOML")
     (tmp_path / "x.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match="UTF-8"):
         Study.from_file(tmp_path / "x.toml")
-    with pytest.raises(InputError, match="No such file"):
-        Study.from_file(tmp_path / "y.toml")
-    with pytest.raises(InputError, match=r"cannot read .*: it is a folder"):
-        Study.from_file(tmp_path)
 
 
 def test_too_many_cases_are_refused_with_their_number(tmp_path: Path) -> None:

@@ -105,13 +105,13 @@ LABELLED = '[[backends]]\nname = "lasso"\nlabel = "referee"\nsolver = "clarabel"
         (f"{CALM}{CALM.replace('calm', 'noise')}{NOISE}{FORWARD}{NOISE}", ["lasso", "forward"]),
         (CALM + FORWARD, ["calm", "forward, noise"]),
         ('[sweep]\n"readout.refine" = ["none", "ladder"]', ["refine none", "refine ladder"]),
+        ('[sweep]\n"estimator.free" = ["auto", ["wind", "lag"], []]',
+         ["free auto", "free wind / lag", "free none"]),
         (LABELLED, ["lasso", "referee"]),
-        (
-            LABELLED.replace("referee", "lasso"),
-            [f"lasso solver={n}" for n in ("homotopy", "clarabel")],
-        ),
+        (LABELLED.replace("referee", "lasso"),
+         [f"lasso solver={n}" for n in ("homotopy", "clarabel")]),
     ],
-)
+)  # fmt: skip
 def test_a_title_is_the_shortest_name_that_tells_it_apart(tmp_path: Path, text, titles) -> None:
     plan = load(tmp_path, f'{HEAD}[[backends]]\nname = "lasso"\n{text}').plan()
     assert plan["title"].unique().tolist() == titles

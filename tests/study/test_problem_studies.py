@@ -1,5 +1,6 @@
 """Studies of regression problems: judged by what is predicted, timed from outside, never fooled."""
 
+import dataclasses
 import io
 import math
 import os
@@ -18,7 +19,7 @@ from sparsefit.cli import main
 from sparsefit.errors import InputError, MissingExtra
 from sparsefit.study import data_sets
 from sparsefit.study.arena import Case, cross_validated, median_interval, recovered
-from sparsefit.study.data_sets import Data, drawn, read_data, read_public
+from sparsefit.study.data_sets import Data, altered, drawn, read_data, read_public
 from sparsefit.study.keys import Clock, DataSet, Generator
 from sparsefit.study.problem_desk import part_of, signs_of
 from sparsefit.study.store import read_cases
@@ -193,6 +194,8 @@ def test_problems_are_judged_by_held_out_rows_and_truth(own):
 
 def test_a_solver_is_named_where_there_are_several(own, tmp_path):
     both = '[[backends]]\nname = "lasso"\n[[backends]]\nname = "ridge"\n'
+    two = f'{both[:28]}solver = ["homotopy", "clarabel"]\n[[backends]]\nname = "stlsq"\n'
+    assert load(tmp_path, PROBLEMS + CORRELATED + two).plan()["title"].tolist()[-1] == "stlsq"
     study = load(tmp_path, PROBLEMS + CORRELATED + both)
     assert study.plan()["title"].tolist() == ["lasso", "ridge"]
     assert repr(study) == f"Study p of problems: 2 cases, in {study.folder}"
@@ -237,8 +240,7 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
     for words, said in (
         (keys, 'needs target = "COLUMN"'),
         (f'{keys}target = "draf"\n', 'has no column "draf": did you mean "drag"?'),
-        (f'{keys}target = "a"\n'.replace("later", "none"), "No such file"),
-        (f'{keys}target = "drag"\n'.replace("later.p", "x."), 'key "test" unknown file type'),
+        (f'{keys}target = "drag"\n'.replace("later.p", "x."), "x.arquet: unknown file type"),
     ):
         assert said in refusal(tmp_path, f"{PROBLEMS}{lasso}[[problems]]\n{words}")
     assert 'says kind = "problems"' in refusal(tmp_path, entry.replace("kind", "#"))
@@ -254,6 +256,7 @@ def test_a_table_is_a_problem_by_the_names_of_its_columns(tmp_path):
         ("a,y\n" + "1," * 600_000, "Expected 2 columns, got 600001"),
         ("y\n1\n", "no column beside the target"),
         ("a;y\n1,5;2\n", "invalid value '1,5'"),
+        ('a,y\n"007",2\n', "holds 007, a name and no number"),
     ],
 )
 def test_what_is_no_table_of_numbers_is_refused(tmp_path, text, said):
@@ -337,7 +340,7 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\nfil = "no.npz"\n', 'did you mean "file"?'),
         (f'{CORRELATED}[[solvers]]\nname = "mine"\n', "is of no package: give its file"),
         (f"{CORRELATED}[select]\nmax_error = 1.0\n", "max_error is for flights"),
-        ('[[problems]]\nfile = "x.bin"\n', '[problems] key "file" unknown file type ".bin"'),
+        ('[[problems]]\nfile = "x.bin"\n', 'x.bin: unknown file type ".bin"'),
         ('[[problems]]\ndataset = "iris"\nalter = "as it was"\n', 'did you mean "as it is"?'),
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
         ("[[problems]]\n", "flights, file, dataset, generator; entry 1 has none"),
@@ -388,6 +391,10 @@ def test_generators_know_their_truth(settings):
     assert (missed**2).sum() / (data.target**2).sum() == pytest.approx(0.1, abs=0.03)
     if "correlation" in settings:
         assert np.corrcoef(theta[:, :2].T)[0, 1] == pytest.approx(0.8, abs=0.1)
+    for name, of_truth in (("units 1e-12 to 1e12", True), ("duplicated columns", False)):
+        other = altered(name, dataclasses.replace(data, test=data), np.random.default_rng(0))
+        assert (other.truth is not None) == of_truth  # which of two equal columns is none
+        np.testing.assert_array_equal(other.test.theta, other.theta)
 
 
 def test_files_are_bounded_before_they_are_unpacked(tmp_path):

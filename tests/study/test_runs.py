@@ -3,10 +3,8 @@
 import json
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
-from contextlib import closing
 from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
@@ -211,13 +209,28 @@ def test_only_stale_and_failed_rows(whole, tmp_path, monkeypatch):
     assert [path.name for path in later.folder.iterdir()] == [STORE]
 
 
-def test_a_damaged_row_is_computed_again(whole, copied):
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        *((body, "") for body in ("{", "[" * 100_000, "[]", '{"status": []}')),
+        ('{"status": "ok", "version": [1]}', "'list' object"),
+        ('{"status": "ok", "samples": "many"}', "'many'"),
+        (f'{{"status": "ok", "samples": {2**70}}}', "too large"),
+        ('{"status": "ok", "reason": "\\ud800"}', "surrogates"),
+    ],
+    ids=lambda text: text[:40],
+)
+def test_a_forged_row_is_computed_again_or_refused_in_a_line(whole, copied, body, said):
     attacks.unpack(copied)
-    with closing(sqlite3.connect(copied.folder / STORE)) as base, base:
-        base.execute("UPDATE cases SET body = replace(body, '1', '2') WHERE case_id LIKE '0000-%'")
-    assert copied.status().done == 12
-    assert copied.run(processes=1).damaged == 6
-    pd.testing.assert_frame_equal(stable(copied.folder), stable(whole[0].folder))
+    with Store.opened(copied.folder, copied.planned) as store:
+        store.put_row(store.rows()[0]._replace(body=body))
+    if not said:
+        assert copied.run(processes=1).damaged == 1
+        pd.testing.assert_frame_equal(stable(copied.folder), stable(whole[0].folder))
+        return
+    assert copied.status().done == 18
+    with pytest.raises(InputError, match=f"another type .*{said}"):
+        copied.run(processes=1)
 
 
 def test_a_run_that_ends_between_its_files_goes_on(copied, monkeypatch):
@@ -364,7 +377,7 @@ def test_latency_and_variants_of_candidates(copied):
     again = copied.again(copied.plan()["case_id"][0])
     row = copied.cases.iloc[0]
     assert again.values["est_length_scale"] == row["est_length_scale"]
-    with pytest.raises(InputError, match=r"plans no case .*; try 0000-"):
+    with pytest.raises(InputError, match="plans no case '0000-1'"):
         copied.again("0000-1")
 
 
