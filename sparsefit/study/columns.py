@@ -6,7 +6,6 @@ without a path comes from the plan, or from the outcome by its name. To add one,
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -44,9 +43,6 @@ REAL = Kind("float64", float, math.nan, (float, int), dense=True)
 SINGLE = Kind("float32", float, math.nan, (float, int), dense=True)  # seven digits are enough
 
 
-_JSON = json.JSONEncoder(separators=(",", ":"))
-
-
 @dataclass(frozen=True)
 class Column:
     """One column; path: the names from a case of flights to its value, `.0` of a pair."""
@@ -77,12 +73,6 @@ class Outcome:
     status: str
     reason: str = ""
     values: Mapping[str, Value] = field(default_factory=dict)
-
-
-def body_of(values: Mapping[str, Value | None]) -> str:
-    """Values as JSON, empty ones left out."""
-    content = {n: v for n, v in values.items() if v == v and v is not None and v != ""}
-    return _JSON.encode(content)
 
 
 def _columns(*rows: tuple[Kind, str] | tuple[Kind, str, str]) -> tuple[Column, ...]:

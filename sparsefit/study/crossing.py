@@ -47,9 +47,8 @@ RECORDS: dict[str, type[Any]] = {  # of a section whose keys are the fields of o
 }  # fmt: skip
 SECTION_KEYS: dict[str, tuple[str, ...]] = {
     "flights": FLIGHT_KEYS,
-    "derivative": names_of(Derivative),
     "library": (*names_of(LengthScaleGrid), *(n for n in names_of(Library) if n != "grid")),
-    **{name: names_of(kind) for name, kind in RECORDS.items() if name != "derivative"},
+    **{name: names_of(kind) for name, kind in RECORDS.items()},
 }
 
 
@@ -58,8 +57,8 @@ class Setup:
     """Everything of a case but the number of its flight and its back-end."""
 
     flights: FlightRules | Logs
-    derivative: Derivative
     library: Library
+    derivative: Derivative
     readout: Readout
     online: Stream = Stream()
     beside: EstimatorKeys = EstimatorKeys()
@@ -67,8 +66,7 @@ class Setup:
     @property
     def estimator(self) -> Estimator:
         """The estimator, but for its back-end and tolerance."""
-        parts = (self.derivative, self.library)
-        return Estimator(*parts, readout=self.readout, **vars(self.beside))
+        return Estimator(self.derivative, self.library, readout=self.readout, **vars(self.beside))
 
 
 @dataclass(frozen=True, eq=False)

@@ -291,6 +291,15 @@ def three(kind: str) -> tuple[str, ...]:
     return tuple(f"{name.replace('_', '-')}-{kind}" for name in PARAMETERS)
 
 
+def stated(reference: Any) -> dict[str, Any]:
+    """Return the values that a reference of [outputs] prints, by the names of their measures."""
+    return {
+        name: value for key in ("deviation", "signed_error")
+        if (values := getattr(reference, key, None))
+        for name, value in zip(three(key.replace("_", "-")), values, strict=True)
+    }  # fmt: skip
+
+
 def bounded(cases: pd.DataFrame) -> BoolArray:
     """Return whether a case has status ok, and its flight a finite Cramér-Rao bound, (rows,)."""
     bounds = parameters(cases, "bound")

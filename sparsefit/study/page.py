@@ -11,7 +11,6 @@ import hashlib
 import json
 import math
 import re
-import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module, resources
@@ -19,12 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sparsefit.errors import InputError
-from sparsefit.plot.style import encoded
+from sparsefit.plot.style import encoded, wrapped
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import asked, grouped, is_predicted, script_of
 from sparsefit.study.figures import Picture
-from sparsefit.study.measures import in_flow, measure
+from sparsefit.study.measures import in_flow, measure, stated
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files
@@ -143,7 +142,7 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
     where = f"over {count} {unit_of(cases)}{'s' * (count > 1)}"
     where += f" in {several} conditions" if several > 1 else ""
     failing = ", failures included" if each.miss is not None else ""
-    printed = tables.printed_value(outputs.reference, each)
+    printed = stated(outputs.reference).get(each.name)
     if printed is not None:
         failing += f"; {outputs.reference.name}: {text(printed)}"
     return sentence(f"{each.phrase}, {where}: {' to '.join(said)}{failing}")
@@ -160,8 +159,9 @@ def show(study: Any, cases: pd.DataFrame, *, width: int, tables_shown: int = 99)
     """Return the question, the headline and the first tables for a terminal."""
     made = list(tables.tables(study, cases).values())[:tables_shown]
     head = (f"{study.name}: {study.question}", headline(study, cases), progress(study, cases))
-    said = [textwrap.fill(text, width, break_on_hyphens=False) for text in head]
-    return "\n".join([*said, "", *(each.to_text(width) for each in made)])
+    return "\n".join(
+        [*(wrapped(text, width) for text in head), "", *(each.to_text(width) for each in made)]
+    )
 
 
 def files_of(study: str, made: Mapping[str, Table], pictures: Mapping[str, Picture]) -> Files:

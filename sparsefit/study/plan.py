@@ -161,10 +161,6 @@ class Plan(Protocol):
         """The place of each case id in the plan."""
         return {case_id: place for place, case_id in enumerate(self.case_ids)}
 
-    def at(self, place: int) -> tuple[int, int]:
-        """The unit and the cell of a place in the plan."""
-        return divmod(place, self.shape[1])
-
     @cached_property
     def versions(self) -> list[str]:
         """The code that makes the rows of each cell now."""
@@ -215,7 +211,7 @@ class Plan(Protocol):
             cells = [any(fnmatchcase(own, name) for own in each) for each in called]
             mine: BoolArray = np.array(units) | np.array(cells)
             if not mine.any() and name in self.place_of:
-                mine[self.at(self.place_of[name])] = True
+                mine.flat[self.place_of[name]] = True
             if not mine.any():
                 near = suggestion(name, {own for each in called for own in each})
                 words = ", ".join((*self.called, "unit")).replace("backend", "back-end")

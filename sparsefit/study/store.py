@@ -44,7 +44,6 @@ from sparsefit.study.columns import (
     STATUSES,
     Outcome,
     Value,
-    body_of,
     kinds_of,
 )
 from sparsefit.study.plan import Plan, versions
@@ -76,7 +75,8 @@ class Row(NamedTuple):
     @classmethod
     def of(cls, case_id: str, values: Mapping[str, Value | None]) -> Row:
         """The row of a case with these columns, `status`, `reason` and `version` among them."""
-        return cls(case_id, body_of(values))
+        content = {n: v for n, v in values.items() if v == v and v is not None and v != ""}
+        return cls(case_id, json.dumps(content, separators=(",", ":")))
 
     @property
     def values(self) -> dict[str, Any]:

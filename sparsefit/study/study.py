@@ -216,7 +216,7 @@ class Study:
         if (place := self.flights.place_of.get(case_id)) is None:
             words = "its cases.parquet lists them"
             raise InputError(f"{self.name} plans no case {shown(case_id)}: {words}")
-        unit, cell = self.planned.at(place)
+        unit, cell = divmod(place, self.planned.shape[1])
         ((_, reading),) = FlightDesk(self.flights).readings(unit, [cell])
         return reading
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from sparsefit.codec import finite_or_none
+from sparsefit.plot.style import wrapped
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -265,7 +265,10 @@ class Table:
         names = max(1, min([*align, ">"].index(">"), len(self.columns) - 1))
         heads = [column.heading for column in self.columns]
         columns = zip(heads, *texts, strict=True)
-        sizes = [max(map(len, (*_wrapped(head, 28), *cells))) for head, *cells in columns]
+        sizes = [
+            max(map(len, (*wrapped(head, 28, "  ").splitlines(), *cells)))
+            for head, *cells in columns
+        ]
         room, shortest_first = int(0.6 * width), sorted(range(names), key=sizes.__getitem__)
         for place, sharers in zip(shortest_first, range(names, 0, -1), strict=True):
             sizes[place] = min(sizes[place], max(room // sharers - 2, 12))
@@ -290,23 +293,17 @@ class Table:
             widths, signs = [sizes[at] for at in block], [align[at] for at in block]
             runs = itertools.groupby(block, key=lambda at: self.columns[at].group)
             spans = [(group, sum(sizes[at] + 2 for at in own) - 2) for group, own in runs]
-            above = [_wrapped(group, span, indent="") for group, span in spans]
+            above = [wrapped(group, span).splitlines() for group, span in spans]
             lines = _lines(above, [span for _, span in spans], "^" * len(spans))
             for place, row in enumerate((heads, *texts)):
-                cells = [_wrapped(row[at], sizes[at]) for at in block]
+                cells = [wrapped(row[at], sizes[at], "  ").splitlines() for at in block]
                 lines += _lines(cells, widths, signs, place)
             printed.append("\n".join(lines))
-        notes = [textwrap.fill(note, width) for note in self.remarks(most)]
+        notes = [wrapped(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, *printed, *notes]) + "\n"
 
     def __str__(self) -> str:
         return self.to_text()
-
-
-def _wrapped(text: str, width: int, indent: str = "  ") -> list[str]:
-    """Return text as lines of at most `width` letters, all but the first behind `indent`."""
-    text = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}")  # a pair on one line
-    return textwrap.wrap(text, width, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def _lines(

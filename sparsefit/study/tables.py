@@ -218,21 +218,10 @@ def tables(
             every[name] = replace(made, title=title)
             continue
         made = LAYOUTS[entry.compare or "settings"](entry, cases)
-        printed: dict[str, Value] = {
-            column_of(each).full: printed_value(outputs.reference, each) for each in entry.measures
-        }
+        stated = measures.stated(outputs.reference)
+        printed = {column_of(own).full: stated.get(own.name) for own in entry.measures}
         if any(value is not None for value in printed.values()):
             printed |= {"n": outputs.reference.flights, made.heads[0]: outputs.reference.name}
             made = replace(made, rows=[tuple(map(printed.get, made.heads)), *made.rows])
         every[name] = made
     return {name: made for name, made in every.items() if made.rows or names}
-
-
-def printed_value(reference: Any, each: Measure) -> float | None:
-    """Return the value of a measure that a reference states, or None."""
-    for kind in ("deviation", "signed-error"):
-        values = getattr(reference, kind.replace("-", "_"), ())
-        names = measures.three(kind)
-        if values and each.name in names:
-            return float(values[names.index(each.name)])
-    return None
