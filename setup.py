@@ -12,7 +12,10 @@ TYPED = (
     *("likelihood/passes", "solvers/homotopy", "solvers/variances", "solvers/sweeps"),
 )  # sparsefit/NAME.pyx
 STABLE = {
-    "extra_compile_args": [] if os.name == "nt" else ["-g0"],  # no debugging symbols
+    # No debugging symbols; the root and the comparisons of a loop are vectorised, too.
+    "extra_compile_args": (
+        [] if os.name == "nt" else ["-g0", "-O3", "-fno-math-errno", "-fno-trapping-math"]
+    ),
     "define_macros": [("Py_LIMITED_API", "0x030b0000")],
     "py_limited_api": True,
     "optional": True,
