@@ -43,7 +43,7 @@ cdef struct Steps:  # of several nodes; zero before: entries of `own` and `air` 
     Four push, pushed, state  # push: at the node and at the next; the others: at a stage
     Lanes track[STATES]
     Lanes fading[4][STATES]  # what is left of walkers at each stage
-    Columns wind[2]  # slopes of the relative wind
+    Columns relative[2]  # slopes of r
     Columns slope[6][2]  # of v' at each stage from the third on, then v' itself
     Columns change[4]  # by accelerations: of F and E less those of rest, of states
 
@@ -115,7 +115,7 @@ cdef void acceleration(
     """v' of the states at a stage, and its slopes; origin: the start of the log."""
     cdef Lanes x, y, t, size, phase, c, s, u, v, xx, xy, yx, ut, vt
     cdef Lanes rate[2]
-    cdef Lanes pull[2][2]  # the slopes of v' by the relative wind
+    cdef Lanes pull[2][2]  # the slopes of v' by r
     cdef Lanes* e = now.element
     cdef double lag, kx, ky, a, b, omega, co, si, bend, px, py, hx, hy, ax, ay, speed
     cdef double rx, ry, age, ahead, light, weight, factor, stretch
@@ -167,10 +167,10 @@ cdef void acceleration(
         now.own[0][5][l], now.own[1][5][l] = factor * speed * rx, factor * speed * ry
         now.own[0][10][l], now.own[1][10][l] = -ax * age * light, -ay * age * light
         now.own[0][11][l], now.own[1][11][l] = ax * ahead, ay * ahead
-        now.wind[0][0][l], now.wind[1][0][l] = xx[l], yx[l]
-        now.wind[0][1][l], now.wind[1][1][l] = xy[l], -xx[l]
-        now.wind[0][2][l], now.wind[1][2][l] = -1.0 - lag * xx[l], -lag * yx[l]
-        now.wind[0][3][l], now.wind[1][3][l] = -lag * xy[l], -1.0 + lag * xx[l]
+        now.relative[0][0][l], now.relative[1][0][l] = xx[l], yx[l]
+        now.relative[0][1][l], now.relative[1][1][l] = xy[l], -xx[l]
+        now.relative[0][2][l], now.relative[1][2][l] = -1.0 - lag * xx[l], -lag * yx[l]
+        now.relative[0][3][l], now.relative[1][3][l] = -lag * xy[l], -1.0 + lag * xx[l]
         now.air[0][6][l] = now.air[1][7][l] = 1.0
         now.air[0][8][l] = now.air[1][9][l] = now.time[l]
         now.air[0][11][l] = -(xx[l] * now.state[2][l] + xy[l] * now.state[3][l]) - ut[l]
@@ -181,13 +181,13 @@ cdef void acceleration(
     for d in range(2):
         memcpy(slope[d][chain.columns], rate[d], sizeof(Lanes))
         memset(slope[d], 0, chain.columns * sizeof(Lanes))
-        memset(now.wind[d] + 4, 0, (chain.columns - 4) * sizeof(Lanes))
+        memset(now.relative[d] + 4, 0, (chain.columns - 4) * sizeof(Lanes))
         for i in range(chain.links):
             k = chain.sources[i]
-            add(LANES, chain.slopes[i], now.air[d][k], now.wind[d][chain.targets[i]])
+            add(LANES, chain.slopes[i], now.air[d][k], now.relative[d][chain.targets[i]])
     for d in range(2):
         for i in range(chain.columns):
-            turn(pull[d], now.wind[0][i], now.wind[1][i], slope[d][i])
+            turn(pull[d], now.relative[0][i], now.relative[1][i], slope[d][i])
         for i in range(chain.other):
             k = chain.sources[i]
             add(LANES, chain.slopes[i], now.own[d][k], slope[d][chain.targets[i]])
@@ -367,8 +367,7 @@ def forward(
             gather(width - n, 4, gain, STATES + COLUMNS, responses[0] + n, &sums[k, 0])
         if i + 1 == time.shape[0]:
             break
-        dt = time[i + 1] - time[i]
-        lane = (i - first) % LANES
+        dt, lane = time[i + 1] - time[i], (i - first) % LANES
         if lane == 0:
             for l in range(LANES):
                 later = min(i + l, time.shape[0] - 2)
