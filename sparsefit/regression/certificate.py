@@ -208,45 +208,41 @@ def duality_gaps(
     entries = 2**19 if design.kind == "sparse" else 2**22  # whose sums are no matrix products
     step, rest, gaps = max(entries // size, 1), np.arange(len(weights)), np.empty((4, len(weights)))
     used = np.flatnonzero(scaled.any(axis=(0, 2)))
-    rows = None if cross is None or penalty.loss != SQUARES else design.formed(used)
+    rows = design.formed(used) if penalty.loss == SQUARES else None
     if cross is not None and rows is not None:
-        gaps[:] = _gaps(design, target, scaled, alphas, penalty, (cross, used, rows))
+        gaps[:] = _gaps(design, (target, (cross, used, rows)), scaled, alphas, penalty)
         rest = np.flatnonzero(~(gaps[0] + gaps[3] <= enough))
     for part in (rest[start : start + step] for start in range(0, len(rest), step)):
-        gaps[:, part] = _gaps(design, target, scaled[part], alphas[part], penalty)
+        gaps[:, part] = _gaps(design, (target, None), scaled[part], alphas[part], penalty)
     return tuple(Certificate("duality_gap", *row) for row in gaps.T.tolist())
 
 
 def _gaps(
-    design: Design,
-    target: Array,
-    scaled: Array,
-    alphas: Array,
-    penalty: Penalty,
-    sums: Sums | None = None,
+    design: Design, data: tuple[Array, Sums | None], scaled: Array, alphas: Array, penalty: Penalty
 ) -> tuple[Array, Array, Array, Array]:
     """The gap, P, D and the rounding error (p,) of the gap of V = ``scaled`` (p, k, n).
 
-    sums: by which they are computed, of J with V_J not 0; without them, by the rows.
+    data: Y (m, n) and the sums by which they are computed, V_J not 0; without these, by the rows.
     """
-    (count, k, n), loss, given = scaled.shape, penalty.loss, target
-    target = loss.centred(given)
+    (count, k, n), loss, sums = scaled.shape, penalty.loss, data[1]
+    target = loss.centred(data[0])
     level = np.sqrt(design.overlaps(target, target))
     used = int(np.any(scaled.any(axis=0), axis=1).sum())
     gamma = rounding_of(design.terms + 2 * used * n + 20)
     linear = np.zeros(count)
     if sums:
         point = DualPoint.of_products(design, sums, level, scaled, gamma)
-        overlap = point.square  # u = R
     else:
         flat = scaled.transpose(1, 0, 2).reshape(k, -1)
         pull = rest = np.tile(target, (1, count)) - design.predict(flat)
         size, unit = np.abs(scaled).sum(axis=1), design.spread * rounding_of(used + 8)
         rho = unit * (level + size)
         if np.isfinite(loss.clip):
-            rest, pull, rho, linear = _clipped(design, given, loss, rest, size, unit)
-        overlap = design.overlaps(pull, rest).reshape(count, n)
+            rest, pull, rho, linear = _clipped(design, data[0], loss, rest, size, unit)
         point = DualPoint.of(design, target, pull, gamma, rho)
+    overlap = point.square  # u = R, but of Huber's loss
+    if np.isfinite(loss.clip):
+        overlap = design.overlaps(pull, rest).reshape(count, n)
     primal = loss.primal(point.square, overlap, level) + alphas * penalty.value(scaled)
     loose, total = point.square_error.sum(axis=1), float(np.sum(level**2))
     if isinstance(loss, RootSquares):

@@ -272,8 +272,8 @@ class Design:
         """Z_J'Z/m (j, k) where Z'Z, or these rows of it for a path, were formed; None else."""
         if "gram" in vars(self):
             return self.gram.take(index, 0)
-        values, ready = vars(self).get("rows_of_gram", (None, np.zeros(self.shape[1])))
-        return values.take(index, 0) if ready.take(index).all() and values is not None else None
+        stored = vars(self).get("rows_of_gram")  # (k, k), and which are ready (k,)
+        return stored[0].take(index, 0) if stored and stored[1].take(index).all() else None
 
     @cached_property
     def gram(self) -> Array:
