@@ -12,8 +12,7 @@ import pytest
 import sparsefit as sf
 from sparsefit import backends
 from sparsefit.cli.printed import ReadLog, lines
-from sparsefit.estimator import Doubt
-from sparsefit.estimator.estimator import Estimator
+from sparsefit.estimator import Doubt, Estimator
 from sparsefit.estimator.measure import Optimum, lobes, measure_flow, read_waves
 from sparsefit.flows import ShapedCells
 from sparsefit.logs.checks import LogQuality
@@ -210,9 +209,9 @@ def test_waves_are_read_by_hand():
 
 def test_waves_are_loose_but_for_cells_of_one_flow_or_of_two():
     def loose(*waves, **levels):
-        pattern, air = SimpleNamespace(waves=np.array(waves)), SimpleNamespace(levels=levels)
-        model = SimpleNamespace(pattern=pattern, disturbance=air)
-        return Optimum(SimpleNamespace(model=model), None).loose
+        flow, air = SimpleNamespace(waves=np.array(waves)), SimpleNamespace(levels=levels)
+        posterior = SimpleNamespace(model=SimpleNamespace(pattern=flow, disturbance=air))
+        return Optimum(posterior, None).loose
 
     cells = [[1.0, 0.0, 2.0, 0.0, 0.0], [0.0, 1.0, 0.0, 2.0, 0.0]]
     more, odd = [[0.5, 0.5, 5.0, 0.0, 0.0], [0.5, -0.5, 0.0, 5.0, 0.0]], [0.5, -0.5, 9.0, 9.0, 0.0]
