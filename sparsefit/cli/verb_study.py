@@ -82,7 +82,8 @@ def finished(args: argparse.Namespace) -> tuple[Study, RunSummary]:
     state = study.status()  # refuses the results of another study
     if not state.finished:
         there = f"{state.done} of {state.planned} cases are there; run them first"
-        raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}")
+        folder = f" --results {args.results}" if args.results else ""
+        raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}{folder}")
     return study, state
 
 

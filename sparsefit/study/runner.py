@@ -304,7 +304,7 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
                 if not row.agrees(other):
                     words = f"differs between {first} and {part}: leave one of them out"
                     raise InputError(f"case {row.case_id} {words}")
-            taken = sum(first == part for first, _ in rows.values())
+            taken = sum(first is part for first, _ in rows.values())  # of its own folder, none
             merged.append(MergedPart(part, len(theirs), taken))
         with Store.opened(folder, plan) as own:
             for first, row in rows.values():
