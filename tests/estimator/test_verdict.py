@@ -90,11 +90,11 @@ def test_process_noise_alone_is_no_misfit(level):
     assert estimate(flight).status == "ok"
 
 
-@pytest.mark.parametrize(("seed", "noise"), [(0, 0.0), (1, 0.3)])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("lower", "upper"), [(1.0, 3.0), (1.9, 2.3), (4.4, 12.0), (8.0, 9.0)])
-def test_bounds_that_exclude_the_truth_are_flagged(lower, upper, seed, noise):
+def test_bounds_that_exclude_the_truth_are_flagged(lower, upper, noise):
     # L/2 = 2.105 m and 2L = 8.42 m, the harmonics, are within some of them.
-    found = estimate(flown(FLOW, seed=seed, noise=(noise, 0.0)), lower, upper)
+    found = estimate(flown(FLOW, seed=int(noise > 0.0), noise=(noise, 0.0)), lower, upper)
     assert found.status in ("unidentifiable", "misfit")
     assert found.reason
 

@@ -81,7 +81,7 @@ def test_what_leaves_its_session_ends_with_the_run(monkeypatch, end, seconds):
     monkeypatch.setenv("ASLEEP", seconds)
     code = (
         "from tests.study import hostile\nfrom sparsefit.study.worker import in_child\n"
-        f"in_child(hostile.do, 'leave', seconds={8.0 if end == 'limit' else 60.0})"
+        f"in_child(hostile.do, 'leave', seconds={5.0 if end == 'limit' else 60.0})"
     )
     run = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.DEVNULL)
     until(lambda: alive(seconds), 60.0)
