@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cache
+from importlib import import_module
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -205,6 +206,5 @@ class Estimator:
 @cache
 def _blas() -> ThreadpoolController:
     """Thread pools of the linear algebra of NumPy and SciPy, whose own is loaded here."""
-    import scipy.linalg  # noqa: F401
-
+    import_module("scipy.linalg")
     return ThreadpoolController().select(user_api="blas")

@@ -171,8 +171,8 @@ def doubts_of_flow(
                 f"{MORE}: turbulence of {goodness.turbulence:.2g} m/s, "
                 f"{100 * goodness.turbulence_share:.2g} % of U0, and hardly any steady cells"
             )
-        jumps = set(wanders) - {"turbulence"}  # of a position, say, which no innovations tell
-        tested = not (posterior.exact or posterior.pushed or jumps)
+        # A position that jumps wanders, in steps that are not white.
+        tested = {*wanders} <= {"turbulence"} and not (posterior.exact or posterior.pushed)
         if tested and not goodness.whiteness >= 1e-6:
             yield misfit(
                 f"{MORE}: innovations are not white (p = {goodness.whiteness:.1g}), and no cause "

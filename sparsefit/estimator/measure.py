@@ -186,7 +186,7 @@ class Optimum:
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """The order of starts, best first: cells, then BIC."""
+        """The order of optima, best first: cells, then BIC."""
         return self.loose, self.posterior.bic
 
 
@@ -210,25 +210,25 @@ def measure_flow(
     asked = evident if free == "auto" else free
     names = tuple(dict.fromkeys((*prepared.library.unknown, *asked)))
     near = NEAR * math.pi / prepared.search.extent
-    starts = _measured(prepared, logs, proposals, names, near)
-    if not starts:
+    optima = _optima(prepared, logs, proposals, names, near)
+    if not optima:
         return None
 
-    def diagnosed(start: Optimum, least: float = -math.inf) -> tuple[Diagnosis, float]:
-        """The diagnosis of a start, and its excess over turbulence (`_excess`)."""
-        first, proposal = start.posterior, start.proposal
-        alone = Diagnosis(first, first)
-        goodness = Goodness.of(first, alone)
-        white = goodness.whiteness > 1e-6 or first.exact or first.pushed
+    def diagnosed(own: Optimum, least: float = -math.inf) -> tuple[Diagnosis, float]:
+        """The diagnosis of an optimum, and its excess over turbulence (`_excess`)."""
+        there, proposal = own.posterior, own.proposal
+        alone = Diagnosis(there, there)
+        goodness = Goodness.of(there, alone)
+        white = goodness.whiteness > 1e-6 or there.exact or there.pushed
         clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
-        excess = math.inf if clear else _excess(prepared, logs, first)
-        followed = not prepared.too_fast(first.model.pattern.length_scale)
+        excess = math.inf if clear else _excess(prepared, logs, there)
+        followed = not prepared.too_fast(there.model.pattern.length_scale)
         if not followed or not (excess > -HIDDEN or goodness.r_squared > MOSTLY):
             return alone, excess
         around = max(near, STRAY * float(np.hypot(*proposal.wavevectors.T).min()))
         found = diagnose(
             logs,
-            first,
+            there,
             names,
             shapes=shapes,
             least=least,
@@ -236,23 +236,23 @@ def measure_flow(
         )
         return found, excess
 
-    first, *others = starts
+    first, *others = optima
     diagnosis, excess = diagnosed(first)
     compared = first.posterior  # with those of the others
     if diagnosis.believed.model.disturbance.processes:
-        # Waves may have fitted the gusts: all starts are compared with these in the model.
+        # Waves may have fitted the gusts: all optima are compared with these in the model.
         beside = [Optimum(diagnosis.believed, first.proposal)]
         for own in others:
-            again = _beside(diagnosis.believed, own, logs)
+            again = _beside(beside[0], own, logs)
             if again is not None and again.model.pattern.is_near(own.proposal.wavevectors, near):
                 beside.append(Optimum(again, own.proposal))
         best = min(beside, key=lambda own: own.rank)
         others, compared = [own for own in beside if own is not best], best.posterior
         if best is not beside[0]:
-            first = next(own for own in starts if own.proposal is best.proposal)
+            first = next(own for own in optima if own.proposal is best.proposal)
             diagnosis, excess = diagnosed(first)
     shape = first.posterior.model.pattern.waves.shape
-    alike = [own for own in starts if own.posterior.model.pattern.waves.shape == shape]
+    alike = [own for own in optima if own.posterior.model.pattern.waves.shape == shape]
     plain = min(alike, key=lambda own: len(own.posterior.names))
     if len(plain.posterior.names) < len(first.posterior.names):
         # A cause beside it may be what the freer shape stands in for.
@@ -285,7 +285,7 @@ def measure_flow(
     )  # fmt: skip
 
 
-def _measured(
+def _optima(
     prepared: Prepared,
     logs: Sequence[FlightLog],
     proposals: Sequence[Proposal],
@@ -304,11 +304,11 @@ def _measured(
         within = (lengths > 0.75 * grid.lower).all() and (lengths < 1.25 * grid.upper).all()
         if own.residual <= WORSE * least and within:
             likely.append(own)
-    starts = list[Optimum]()
+    optima = list[Optimum]()
     chosen = lobes(likely, near)[:MOST]
     chosen.sort(key=lambda own: len(own.wavevectors) % 2)  # an odd number makes no cells
     for proposal in chosen:
-        if len(proposal.wavevectors) % 2 and not all(own.loose for own in starts):
+        if len(proposal.wavevectors) % 2 and not all(own.loose for own in optima):
             break
         waves = proposal.wavevectors, proposal.cosine, proposal.sine
         pattern = StreamPattern.of_waves(proposal.shape, *waves, proposal.velocity)
@@ -336,26 +336,26 @@ def _measured(
             phases = there.model.pattern.waves[:, [0, 1, 4]]
             proposal = prepared.search.proposed_at(proposal, phases) or proposal
         if there.model.pattern.is_near(proposal.wavevectors, near):
-            starts.append(Optimum(there, proposal))
-    starts.sort(key=lambda own: own.rank)
+            optima.append(Optimum(there, proposal))
+    optima.sort(key=lambda own: own.rank)
     cells = min(
-        starts, key=lambda own: (own.loose, own.posterior.model.pattern.waves.size), default=None
+        optima, key=lambda own: (own.loose, own.posterior.model.pattern.waves.size), default=None
     )
-    if cells and cells is not starts[0] and disturbed(cells.posterior):
+    if cells and cells is not optima[0] and disturbed(cells.posterior):
         gain, _ = scanned(cells.posterior, process_of("turbulence", cells.posterior))
-        if cells.posterior.bic - gain < starts[0].posterior.bic:  # more waves stand in for gusts
-            starts = [cells, *(own for own in starts if own is not cells)]
-    return starts
+        if cells.posterior.bic - gain < optima[0].posterior.bic:  # more waves stand in for gusts
+            optima = [cells, *(own for own in optima if own is not cells)]
+    return optima
 
 
-def _beside(base: Posterior, start: Optimum, logs: Sequence[FlightLog]) -> Posterior | None:
-    """A start with the processes of a base in its model; None if it comes nowhere near its BIC."""
-    white = start.posterior
-    pairs = zip(white.models, base.models, strict=True)
-    gusty = [own.with_processes(gusts.disturbance.processes) for own, gusts in pairs]
-    least = white.log_likelihood + 0.5 * (white.bic - base.bic - CLOSE)
-    loose = Optimum(base, start.proposal).loose  # then others come first
-    return fitted(logs, gusty, white, least=-math.inf if loose else least)
+def _beside(base: Optimum, other: Optimum, logs: Sequence[FlightLog]) -> Posterior | None:
+    """An optimum with a base's processes in its model; None if it comes nowhere near its BIC."""
+    gusts, white, least = base.posterior, other.posterior, -math.inf
+    pairs = zip(white.models, gusts.models, strict=True)
+    gusty = [own.with_processes(its.disturbance.processes) for own, its in pairs]
+    if not base.loose:  # else others come first
+        least = white.log_likelihood + 0.5 * (white.bic - gusts.bic - CLOSE)
+    return fitted(logs, gusty, white, least=least)
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:

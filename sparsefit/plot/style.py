@@ -167,8 +167,10 @@ def labels(names: Sequence[str], length: int) -> dict[str, str]:
 
 
 def wrapped(text: str, width: int, indent: str = "") -> str:
-    """Return text in lines of at most `width` letters, all but the first of a paragraph behind
-    `indent`; a pair, `0 / 0`, is not divided."""
+    """Return text in lines of at most `width` letters; a pair, `0 / 0`, is not divided.
+
+    All lines of a paragraph but the first stand behind `indent`.
+    """
     lines = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}").split("\n")
     fill = partial(textwrap.fill, subsequent_indent=indent, break_on_hyphens=False)
     return "\n".join(fill(line, width) for line in lines)

@@ -26,6 +26,7 @@ from hashlib import blake2b
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.cached import cached_property
@@ -272,8 +273,12 @@ class Design:
         """Z_J'Z/m (j, k) where Z'Z, or these rows of it for a path, were formed; None else."""
         if "gram" in vars(self):
             return self.gram.take(index, 0)
-        stored = vars(self).get("rows_of_gram")  # (k, k), and which are ready (k,)
-        return stored[0].take(index, 0) if stored and stored[1].take(index).all() else None
+        values, ready = vars(self).get("rows_of_gram", (None, None))
+        return values.take(index, 0) if ready is not None and ready.take(index).all() else None
+
+    def share_rows(self, values: Array, ready: NDArray[np.uint8]) -> None:
+        """Take rows of Z'Z/m (k, k) as a path forms them, and which are ready (k,)."""
+        vars(self)["rows_of_gram"] = values, ready
 
     @cached_property
     def gram(self) -> Array:

@@ -52,7 +52,7 @@ class Growing:
     def __init__(self, design: Design) -> None:
         self.design, k = design, design.shape[1]
         self.values, self.ready = np.zeros((k, k)), np.zeros(k, np.uint8)
-        vars(design)["rows_of_gram"] = self.values, self.ready  # for certificates
+        design.share_rows(self.values, self.ready)  # with certificates
 
     def fill(self, column: int, correlation: Array) -> None:
         """Form the row of a column and some others; all, where MANY are not enough."""
