@@ -43,7 +43,7 @@ from sparsefit.whole_file import regular_file
 
 MOST_BYTES = 1 << 30  # of a file
 LONGEST_LINE = 1 << 20  # bytes
-LABEL = re.compile(rb'(?<=[,;\t\r\n"])0\d+(?=[,;\t\r\n"])')  # 007
+LABEL = rb'(?<=[\r\n"%s]) *(0\d+) *(?=[\r\n"%s])'  # 007, between two separators
 GENERATORS: dict[str, dict[str, Any]] = {  # the settings that a name stands for
     "correlated": {"correlation": 0.8},
     "wide": {"samples": 100, "columns": 2000},
@@ -131,10 +131,11 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
         if path.suffix.lower() == ".csv":
             head, lines = file.readline(LONGEST_LINE).decode("utf-8-sig"), 1
             between = max(",;\t", key=head.count)
+            labels = re.compile(LABEL % (between.encode(), between.encode()))
             (names,) = reader([head], delimiter=between)
             while block := file.read(LONGEST_LINE):
-                if label := LABEL.search(block):
-                    words = f"holds {label[0].decode()}, a name and no number"
+                if label := labels.search(block):
+                    words = f"holds {label[1].decode()}, a name and no number"
                     raise InputError(f"{path}: {words}: leave its column out, or drop the zeros")
                 lines += max(block.count(b"\n"), block.count(b"\r"))
                 _check_size(path, lines * len(names))
