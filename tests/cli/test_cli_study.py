@@ -279,6 +279,7 @@ def test_results_of_another_study_are_refused(capsys, finished):
     ("words", "message"),
     [
         ("run small.toml --results file", "cannot write file/small"),
+        ("run small.toml --processes 0", "at least 1"),
         ("show small.toml --table eror", 'did you mean "errors"?'),
         ("compare nowhere small.toml", "No such file"),
         ("run small.toml --against nowhere", "nowhere/cases.parquet: no such file"),

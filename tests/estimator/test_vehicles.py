@@ -165,10 +165,7 @@ GUSTY = {"duration": 20.0, "seed": 0, "initial_position": (2.13299589, 5.2581671
 
 @pytest.mark.parametrize(
     ("ratio", "flow", "options"),
-    [
-        *((ratio, (12.0, 4.0), STEADY) for ratio in (1.05, 1.2)),
-        (1.2, (4.826126, 2.899105), GUSTY),
-    ],
+    [*((ratio, (12.0, 4.0), STEADY) for ratio in (1.05, 1.2)), (1.2, (4.826126, 2.899105), GUSTY)],
 )
 def test_a_wrong_vehicle_is_named_in_a_log_without_noise(ratio, flow, options):
     flight = fly(sf.CellularFlow(*flow), **options)

@@ -79,18 +79,17 @@ def passed(nodes, track, last):
 
 
 @pytest.mark.parametrize("levels", [False, True])
-@pytest.mark.parametrize("way", ["plain", "blocks"])
+@pytest.mark.parametrize("way", ["plain", "blocks", "far"])
 def test_the_compiled_pass_is_the_plain_one_and_that_of_blocks(levels, way, monkeypatch):
     pytest.importorskip("sparsefit.likelihood.passes")
     (nodes, track), rng = odd_nodes(), np.random.default_rng(5)
     adjoint, scores = rng.normal(size=(41, 18)), rng.normal(size=(40, 12))
     squares = np.zeros((6, 2)), np.zeros((1, 6, 2))
+    track[:, :2] += 1e8 * (way == "far")  # phases are beyond what the lanes reduce
     last = Smoothed(track, adjoint, scores, *squares) if levels else None
     compiled = passed(nodes, track, last)
-    if way == "plain":
-        monkeypatch.setattr(trellis, "passes", reference)
-    else:
-        monkeypatch.setattr(trellis, "BLOCK", 16)
+    name, other = ("BLOCK", 16) if way == "blocks" else ("passes", reference)
+    monkeypatch.setattr(trellis, name, other)
     for expected, value in zip(passed(nodes, track, last), compiled, strict=True):
         size = np.abs(expected).max()
         np.testing.assert_allclose(value, expected, rtol=1e-8, atol=1e-9 * size)

@@ -367,7 +367,7 @@ def test_an_offset_of_the_columns_costs_no_digits_beside_an_intercept(order, wei
     assert (fit.status, near.status) == ("ok", "ok")
     np.testing.assert_allclose(fit.weights, near.weights, atol=1e-6)
     np.testing.assert_allclose(fit.intercept, near.intercept - offset @ fit.weights, rtol=1e-9)
-    assert fit.certificate.rounding < 1e-11
+    assert fit.certificate.rounding < 10 * near.certificate.rounding
 
 
 @pytest.mark.parametrize("weight", [None, np.arange(80) % 3])

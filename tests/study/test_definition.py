@@ -110,7 +110,6 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        # at the top
         ("seed = 20201120", "sede = 1", 'key "sede" unknown: did you mean "seed"?'),
         ("seed = 20201120", "seed = -1", '"seed" must be at least 0'),
         ("seed = 20201120", f"seed = {'9' * 5000}", "more than 300 digits"),
@@ -120,7 +119,6 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("question = ", "qestion = ", 'key "qestion" unknown: did you mean "question"?'),
         ('name = "good"', 'name = "../good"', "name must be 1 to 64"),
         ('name = "good"', 'name = ""', '"name" must be one non-empty line'),
-        # what is flown
         ("count = 6", "count = 0", '[flights] key "count" must be at least 1'),
         ("count = 6", "", '[flights] key "count" missing'),
         ("response_time = 0.5", "response_time = 0.5\ndropouts = 0.1", 'mean "lost_samples"?'),
@@ -144,7 +142,6 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
          "say one thing: drop one of them"),
         ("response_time = 0.5", "thrust_turn = 2.0", "a flight without drag needs it"),
         ("response_time = 0.5", "drag = 0.2\nthrust_turn = 2.0", "missing: thrust_turn needs it"),
-        # how it is read
         ("step = 1.0", "step = 1.0\ncount = 4", "[library]"),
         ("step = 1.0", "stepp = 1.0", '[library] key "stepp" unknown: did you mean "step"?'),
         ("step = 1.0", 'target = "acceleratoin"', 'did you mean "acceleration"?'),
@@ -161,7 +158,6 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ("[0.0, 0.5]", "[0.0, -0.5]", "with flights.velocity_noise = -0.5: [flights]"),
         ("flights.velocity_noise", "flights.count", "of the whole study: set it in [flights]"),
         ("flights.velocity_noise", "velocity_noise", 'did you mean "flights.velocity_noise"?'),
-        # who solves
         ('name = "lasso"', 'name = "laso"', 'did you mean "lasso"?'),
         ('name = "lasso"\n', "", '[backends] key "name" missing'),
         ("alpha_fraction = [0.01, 0.1]", "alpha_fraction = 2.0", "[backends] lasso"),
@@ -172,8 +168,8 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
          "listed twice"),
         *(('"literal"', f'"a{bad}b"', "control characters")
           for bad in ("\\u001b[31m", "\\u0007", "\\r", "\\u2028")),
-        # the rest
         ("validate = 2", "validate = 3", "counts sum to 7, not to the 6"),
+        ("tolerance = 1e-6", "tolerance = 1.0", "must be above 0 and below 1, not 1"),
         ("case_timeout = 30.0", "case_timeout = 0", "case_timeout\" must be above 0 [s], not 0"),
         ("[run]", "[run]\nmax_memory = 1", "at least 256 [MB]"),
         ("[run]", "[outputs]\ntables = nan\n[run]", "[outputs] tables and figures are names"),
