@@ -257,7 +257,7 @@ def _with_working_set(
         batch = KERNELS[name](working.problem, here, warm_starts, ROUGH if is_rough else goal)
         is_rough = is_rough and not batch.complete.all()
         warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
-        near = NEAR if name in ("variational", "block descent") else 0.0
+        near = 0.0 if name == "newton" else NEAR  # whose steps cost more with each column
         accepted, new = _violations(working, here, batch.weights, near)
         accepted, is_settled = 0 if is_rough else accepted, is_rough and not len(new)
         until = done + accepted
