@@ -13,11 +13,16 @@ import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.plot.style import COLOURS, encoded, labels
 from sparsefit.study import entries, figures, measures, page, solver_times, tables
+from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.keys import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
 from tests.study.frames import case, frame, solve, spread, study
 
 STUDIES = Path(__file__).parents[2] / "studies"
+COMPUTED = (  # studies whose first case of each status takes less than a second
+    *("coverage", "derivatives", "drag", "grids", "limits", "mismatch", "multiscale"),
+    *("online", "readings", "select", "several", "table2", "thrust", "vehicle", "windows"),
+)
 
 
 def made(entry, cases, **outputs):
@@ -356,6 +361,20 @@ def test_the_script_of_a_shipped_study_makes_its_table(path):
             assert shipped.table(name).rows
         else:
             assert shipped.figure(name) is not None
+
+
+@pytest.mark.parametrize("name", COMPUTED)
+def test_cases_of_a_shipped_study_are_those_of_the_code_here(name):
+    shipped = sf.Study.from_file(STUDIES / f"{name}.toml")
+    answered = shipped.cases[shipped.cases["status"].isin(STATUSES[:4])]
+    for row in answered.drop_duplicates("status").to_dict("records"):
+        estimate = shipped.again(row["case_id"]).estimate
+        sure = estimate.uncertainty or {}
+        values = [getattr(estimate, each) for each in PARAMETERS]
+        values += [sure.get(each, math.nan) for each in PARAMETERS]
+        expected = [row[f"{own}_{each}"] for own in ("est", "se") for each in PARAMETERS]
+        assert estimate.status == row["status"]
+        assert values == pytest.approx(expected, rel=1e-5, nan_ok=True)
 
 
 def test_errors_of_the_shape_of_cells_by_hand():
