@@ -11,7 +11,7 @@ from sparsefit.estimator.estimate import PARAMETERS, Doubt, ScaleEstimate, Verdi
 from sparsefit.estimator.measure import Measured
 from sparsefit.estimator.prepare import RESOLVED, Prepared
 from sparsefit.likelihood.causes import FREEDOMS, Suspect, two_digits, unit_of
-from sparsefit.likelihood.diagnosis import usable
+from sparsefit.likelihood.diagnosis import FALSE_ALARM, usable
 
 DISAGREES = 0.2  # largest relative rms difference of displacements by position and velocity
 MORE = "more than noise is left"
@@ -177,6 +177,12 @@ def doubts_of_flow(
             yield misfit(
                 f"{MORE}: innovations are not white (p = {goodness.whiteness:.1g}), and no cause "
                 "explains it"
+            )
+        chance, number, time = posterior.constancy if tested else (1.0, 0, 0.0)
+        if chance < FALSE_ALARM:
+            yield misfit(
+                f"{_of_flight(prepared, number)}{MORE}: the flow before t = {time:.3g} s seems "
+                f"another than after it (p = {chance:.1g})"
             )
     strength = np.hypot(*result.waves[:, :2].T) * np.hypot(*result.waves[:, 2:4].T)
     roll = len(strength) == 2 and strength.min() < 0.5 * strength.max()

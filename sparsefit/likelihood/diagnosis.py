@@ -442,10 +442,14 @@ def plausible(there: Posterior, believed: Posterior) -> bool:
 
 
 def disturbed(posterior: Posterior) -> bool:
-    """Whether there is process noise: a level that is significant, or innovations not white."""
-    if posterior.exact or posterior.pushed or not posterior.seen > 1.0:
+    """Whether there is process noise: a level that is significant, or innovations not white.
+
+    Parameters that change along a log may be another disturbance.
+    """
+    if posterior.exact or posterior.pushed:
         return False
-    return posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
+    evident = posterior.evidence > CHANCE or min(posterior.whiteness) < COLOURED
+    return (evident and posterior.seen > 1.0) or posterior.constancy[0] < FALSE_ALARM
 
 
 def freer(models: Sequence[Model], group: str, *, answers: bool) -> list[Trial]:

@@ -35,6 +35,7 @@ NEIGHBOURS = 30  # waves around those of the flow
 NEAREST, FURTHEST = 2.5, 5.0  # of these, in 2 pi over the extent of the flight
 NOTHING = 0.1  # degrees of freedom of a level that is negligible
 FEWEST = 16  # innovations of a channel that are tested
+PARTS = 8  # of a log, at whose ends parameters may change
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,27 @@ class Posterior:
         """The p-value of white innovations of each log, 1 of an exact one."""
         pairs = zip(self.innovations, self.exact_logs, strict=True)
         return tuple(1.0 if exact else whiteness(each) for each, exact in pairs)
+
+    @cached_property
+    def constancy(self) -> tuple[float, int, float]:
+        """The p-value of constant parameters; the log, from 1, and time [s] of a likely change.
+
+        The score of a part of a log, less its share of the whole, is chi^2 (Andrews 1993).
+        """
+        from scipy.special import chdtrc
+
+        changes = []
+        for number, leg in enumerate(self.legs, 1):
+            size = math.ceil(len(leg.track) / PARTS)
+            *parts, whole = leg.at({}).forward(leg.model.names, keep=False, block=size).course
+            for place, part in enumerate(parts, 1):
+                share = part[:, 1:] @ inverted(whole[:, 1:])[0]
+                score, rest = part[:, 0] - share @ whole[:, 0], part[:, 1:] - share @ part[:, 1:]
+                statistic = float(score @ inverted(rest)[0] @ score)
+                changes.append((statistic, number, float(leg.nodes.time[place * size])))
+        largest, number, time = max(changes)
+        chance = float(chdtrc(len(self.model.names), largest / self.inflation))
+        return len(changes) * chance, number, time + self.model.pattern.origin[2]
 
     @cached_property
     def evidence(self) -> float:

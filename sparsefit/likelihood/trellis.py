@@ -96,7 +96,8 @@ class Leg:
         rows[4:, n] = -self.track[0, 4:]  # walkers start about 0
         if last is not None:
             rows[:, own:] = (space.spread * last.adjoint[0, :n]).T
-        sums, total, starts, stored = np.zeros((len(rows.T) - n,) * 2), 0.0, [], None
+        sums, total, stored = np.zeros((len(rows.T) - n,) * 2), 0.0, None
+        starts, course = list[Array](), list[Array]()
         for first in range(0, m, block):
             starts.append(rows[:, :own].copy())
             end = min(first + block, m)
@@ -105,8 +106,10 @@ class Leg:
             total += passes.forward(
                 space, self.nodes, self.track, first, end, last, rows, sums, stored
             )
+            course.append(sums[1:].copy())
         value = -0.5 * (float(sums[0, 0]) + total)
-        return Pass(self, space, value, -sums[1:, 0], sums[1:, 1:], starts, stored, block)
+        score, information = -sums[1:, 0], sums[1:, 1:]
+        return Pass(self, space, value, score, information, course, starts, stored, block)
 
     def corrections(self, names: Sequence[str], own: Pass) -> Iterator[tuple[int, float, float]]:
         """Corrections of b and J by the elements that shape the innovations' variance S.
@@ -140,6 +143,7 @@ class Pass:
         value: the log-likelihood at dtheta = 0.
         score: b (p + l,) by the parameters, and by the levels where a last pass gave them.
         information: J (p + l, p + l).
+        course: -b and J (p + l, 1 + p + l) of all nodes up to the end of each block.
         starts: P, delta and V (n, n + 1 + p) at the first node of each block.
         stored: what the backward pass reads of the last block.
         block: the nodes of one.
@@ -150,6 +154,7 @@ class Pass:
     value: float
     score: Array
     information: Array
+    course: list[Array]
     starts: list[Array]
     stored: Array | None
     block: int

@@ -143,14 +143,14 @@ def test_what_is_wrong_is_named_with_its_size(flight, cause, size):
     ("changes", "expected"),
     [
         ({}, True),
-        ({"evidence": 1.9}, False),
         ({"evidence": 1.9, "whiteness": (0.5, 9e-4)}, True),
-        *(({name: value}, False) for name, value in (("exact", 1), ("pushed", 1), ("seen", 1.0))),
+        ({"seen": 0.0, "constancy": (9e-5, 1, 3.0)}, True),
+        *(({n: v}, False) for n, v in (("exact", 1), ("pushed", 1), ("seen", 1), ("evidence", 2))),
     ],
 )
 def test_process_noise_is_believed_where_a_level_is_seen_and_more_than_chance(changes, expected):
-    seen = {"exact": False, "pushed": False, "seen": 1.1, "evidence": 2.1, "whiteness": (0.5, 0.4)}
-    assert room.disturbed(SimpleNamespace(**(seen | changes))) is expected
+    own = {"exact": 0, "pushed": 0, "seen": 1.1, "evidence": 3, "whiteness": [1], "constancy": [1]}
+    assert room.disturbed(SimpleNamespace(**(own | changes))) is expected
 
 
 @pytest.mark.parametrize(
@@ -173,10 +173,8 @@ def test_white_innovations_are_white_and_coloured_ones_are_not():
     rng = np.random.default_rng(4)
     chances = [whiteness(rng.normal(size=(300, 4))) for _ in range(200)]
     assert 0.5 < np.mean(np.array(chances) < 0.5) * 2 < 1.5
-    coloured = np.convolve(rng.normal(size=2000), np.ones(5) / 5, "same")[:, None]
-    assert whiteness(coloured) < 1e-6
-    gaps = np.where(rng.random((300, 4)) < 0.3, np.nan, rng.normal(size=(300, 4)))
-    assert whiteness(gaps) > 1e-3
+    assert whiteness(np.convolve(rng.normal(size=2000), np.ones(5), "same")[:, None]) < 1e-6
+    assert whiteness(np.where(rng.random((300, 4)) < 0.3, np.nan, rng.normal(size=(300, 4)))) > 1e-3
     assert np.isnan(whiteness(np.full((50, 2), np.nan)))
 
 
