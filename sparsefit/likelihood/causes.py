@@ -27,7 +27,7 @@ LOADS = {  # by the thrust that explains a flight over that which is given
 SAME_UNIT = 0.03  # the largest relative distance of a ratio from that of a unit
 WIND, BIAS, GAIN = ("wind_x", "wind_y"), ("position_bias_x", "position_bias_y"), ("gain",)
 BELIEVED = "than it is believed"
-OPPOSITES = {"more": "less", "longer": "shorter", "large": "small", "grow": "decay"}
+OPPOSITES = {"more": "less", "longer": "shorter", "large": "small", "grow": "decay", "lag": "lead"}
 FREEDOMS: dict[str, Cause] = {
     "response_time": Cause("response-time", ("response_time",),
                            f"the response time seems {{size}} s {{longer}} {BELIEVED}", "s"),
@@ -44,7 +44,7 @@ FREEDOMS: dict[str, Cause] = {
                   f"the drag seems {{more}} quadratic {BELIEVED}, by {{size}} s/m", "1/m"),
     "mass": Cause("mass", ("mass_rate",),
                   "the mass seems to change, by {signed} % in a second", "1/s"),
-    "lag": Cause("lag", ("lag",), "the drag seems to lag behind the wind, by {milli} ms", "s"),
+    "lag": Cause("lag", ("lag",), "the drag seems to {lag} the wind, by {milli} ms", "s"),
     "growth": Cause("decay", ("growth",), "the mean velocity seems to {grow}, by {percent} % "
                     "in a second", "1/s", of_flow=True),
     "velocity_scale": Cause("velocity-scale", ("velocity_scale",),
@@ -103,9 +103,8 @@ class Suspect:
         """The cause and its size as a sentence."""
         template = next(own.words for own in _CAUSES if own.name == self.cause and own.words)
         x, y = (*self.size, math.nan, math.nan)[:2]
-        milli = 1e3 * (abs(x) if self.free == "latency" else x)
         numbers = {"x": x, "y": y, "size": abs(x), "percent": 100 * abs(x), "signed": 100 * x}
-        numbers |= {"milli": milli, "degrees": math.degrees(x)}
+        numbers |= {"milli": 1e3 * abs(x), "degrees": math.degrees(x)}
         rounded = {name: two_digits(number) for name, number in numbers.items()}
         chosen = {word: word if x > 0 else other for word, other in OPPOSITES.items()}
         chosen["late"] = "position" if x > 0 else "velocity"
