@@ -267,7 +267,7 @@ def measure_flow(
     of_flow = any(own.of_flow for own in suspects)
     refitted = diagnosis.posterior is not diagnosis.believed
     slight = refitted and not of_flow and posterior.apart(diagnosis.posterior) < SLIGHT
-    # Positions alone do not distinguish another thrust from another scale of their own.
+    # Positions alone do not distinguish another vehicle from another scale of their own.
     if free == "auto" or (suspects and len(logs) == len(prepared.ways) == 1 and slight):
         posterior, suspects = diagnosis.posterior, ()
     rivals = list[Proposal]()
