@@ -62,27 +62,32 @@ def one_line(text: str, most: int = sys.maxsize) -> str:
 
 
 def described(error: BaseException, most: int = 500) -> str:
-    """The type and message of any exception on one line, `ValueError: message`."""
+    """The type and message, if any, of an exception on one line, `ValueError: message`."""
     try:
         message = str(error)
     except Exception:  # a message is code of others, too
         message = "(its message cannot be read)"
-    return one_line(f"{type(error).__name__}: {message}", most)
+    return one_line(": ".join(filter(None, (type(error).__name__, message))), most)
 
 
 def suggestion(name: str, valid: Iterable[str]) -> str:
     """Return ``: did you mean "x"?`` or, where no valid name is near, ``(known: x, y)``."""
     by_folded = {candidate.casefold(): candidate for candidate in valid}
     near = get_close_matches(name.casefold(), by_folded, n=1)
-    every = f" (known: {', '.join(sorted(by_folded.values()))})"
+    every = f" (known: {_listed(sorted(by_folded.values()))})"
     return f': did you mean "{by_folded[near[0]]}"?' if near else every
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Names with commas between them, in quotes where one has a comma itself."""
+    return ", ".join(f'"{name}"' if "," in name else name for name in names)
 
 
 def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> InputError:
     """The error for a name that is not among ``valid``, which stand ``listed`` if they are many."""
     text = one_line(name if isinstance(name, str) else shown(name), LONGEST)
     near = suggestion(text, names := list(valid))
-    every = f"listed in {listed}" if listed else f"known: {', '.join(names)}"
+    every = f"listed in {listed}" if listed else f"known: {_listed(names)}"
     hint = near if near.startswith(":") else ""
     return InputError(f'unknown {kind} "{text}"{hint} ({every})')
 

@@ -29,7 +29,7 @@ def test_an_unknown_name_is_told_with_the_nearest_or_with_all_that_are_known():
     assert str(unknown("back-end", "laso", ["lasso", "stlsq"])) == words
     assert str(unknown("back-end", 7, iter(["lasso"]))) == 'unknown back-end "7" (known: lasso)'
     assert suggestion("Time", ["time", "x"]) == ': did you mean "time"?'
-    assert suggestion("pressure", ["x", "time"]) == " (known: time, x)"
+    assert suggestion("pressure", ["x", "b, c"]) == ' (known: "b, c", x)'
 
 
 @pytest.mark.parametrize("value", [1, 2.5, np.float64(3.0), np.int32(4), np.float32(0.5)])

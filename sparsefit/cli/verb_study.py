@@ -80,7 +80,7 @@ def finished(args: argparse.Namespace) -> tuple[Study, RunSummary]:
     """
     study = read_study(args)
     state = study.status()  # refuses the results of another study
-    if not state.finished:
+    if state.done < state.planned:
         there = f"{state.done} of {state.planned} cases are there; run them first"
         folder = f" --results {args.results}" if args.results else ""
         raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}{folder}")
@@ -161,6 +161,8 @@ def status(args: argparse.Namespace) -> Reply:
     study = read_study(args)
     state = study.status()
     _warn(state.stale, STALE)
+    unwritten = state.done == state.planned and not state.finished
+    _warn(state.done * unwritten, "there, but not yet in cases.parquet; study run writes it")
     record = {"study": study.name, "folder": str(state.folder), "planned": state.planned}
     record |= {"done": state.done, "finished": state.finished, "stale": state.stale}
     return Reply(record | {"statuses": dict(state.statuses), "versions": dict(state.versions)})

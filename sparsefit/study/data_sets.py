@@ -37,7 +37,7 @@ import numpy as np
 from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError, one_of, optional, suggestion, told_with
+from sparsefit.errors import InputError, one_of, optional, shown, suggestion, told_with
 from sparsefit.study.keys import MOST_VALUES, Generator
 from sparsefit.whole_file import regular_file
 
@@ -139,12 +139,16 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
                     raise InputError(f"{path}: {words}: leave its column out, or drop the zeros")
                 lines += max(block.count(b"\n"), block.count(b"\r"))
                 _check_size(path, lines * len(names))
-            table = csv.read_csv(
-                path,  # read ahead in a thread, in which a file of Python may not outlive its end
-                csv.ReadOptions(block_size=LONGEST_LINE),  # which no line is longer than
-                csv.ParseOptions(delimiter=between),
-                csv.ConvertOptions(column_types=dict.fromkeys(names, real)),
-            )
+            try:
+                table = csv.read_csv(
+                    path,  # read ahead in a thread, where a file of Python may not outlive its end
+                    # No line is longer than a block; only a single thread counts rows.
+                    csv.ReadOptions(block_size=LONGEST_LINE, use_threads=False),
+                    csv.ParseOptions(delimiter=between),
+                    csv.ConvertOptions(column_types=dict.fromkeys(names, real)),
+                )
+            except pyarrow.ArrowInvalid as error:
+                raise InputError(f"{path}: {_fault(str(error), names)}") from None
         else:
             source = parquet.ParquetFile(path)
             names = source.schema_arrow.names
@@ -152,10 +156,21 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
             numbers = types.is_integer, types.is_floating, types.is_boolean, types.is_decimal
             for field in source.schema_arrow:  # a text or a list may unpack to anything
                 if not any(each(field.type) for each in numbers):
-                    kind = f"{field.name} holds {field.type}"
+                    kind = f'column "{field.name}" holds {field.type}'
                     raise InputError(f"{path}: {kind}, and only numbers are read")
             table = source.read()
         return names, np.column_stack([column.cast(real).to_numpy() for column in table.columns])
+
+
+def _fault(text: str, names: Sequence[str]) -> str:
+    """The fault of a table with these columns, by what Arrow says of it."""
+    if cell := re.match(r"In CSV column #(\d+): Row #(\d+): .*? value '(.*)'$", text, re.DOTALL):
+        place = f'column "{names[int(cell[1])]}" of row {int(cell[2]) - 1}'
+        return f"{place} holds {shown(cell[3])}, no number: correct it, or leave its column out"
+    if line := re.match(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)", text):
+        words = f"has {line[3]} values under {line[2]} names: add or remove separators"
+        return f"row {int(line[1]) - 1} {words}"
+    return f"not readable: {text[:200]}"
 
 
 def _check_size(path: Path, values: int) -> None:

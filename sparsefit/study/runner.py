@@ -46,8 +46,8 @@ class RunSummary:
 
     statuses: counts of all rows; stale: of rows of another version of the code; versions: of rows
     by version; dropped: rows of cases that the study no longer plans; damaged: rows that could not
-    be read; resumed: rows from before the run, which computed `computed` cases in `seconds` [s] on
-    `processes`.
+    be read; written: whether `cases.parquet` has the rows; resumed: rows from before the run, which
+    computed `computed` cases in `seconds` [s] on `processes`.
     """
 
     folder: Path
@@ -57,6 +57,7 @@ class RunSummary:
     versions: Mapping[str, int] = field(default_factory=dict)
     dropped: int = 0
     damaged: int = 0
+    written: bool = True
     resumed: int = 0
     computed: int = 0
     seconds: float = 0.0
@@ -77,8 +78,8 @@ class RunSummary:
 
     @property
     def finished(self) -> bool:
-        """Whether every planned case is a row."""
-        return self.done == self.planned
+        """Whether every planned case is a row of `cases.parquet`."""
+        return self.written and self.done == self.planned
 
 
 def run(

@@ -161,7 +161,8 @@ class Study:
 
     def status(self) -> RunSummary:
         """The numbers of cases that are planned and done, by status; the study may be running."""
-        return RunSummary.of(Store.read(self.folder, self.planned))
+        store = Store.read(self.folder, self.planned)
+        return RunSummary.of(store, written=store.finished)
 
     @cached_property
     def cases(self) -> pd.DataFrame:
