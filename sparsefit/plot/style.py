@@ -53,8 +53,13 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def styled(draw: Callable[Given, Drawn], width: float = 7.0) -> Callable[Given, Drawn]:
-    """Return what draws a figure, `width` [in] wide, in this style whatever the user's settings."""
+def styled(
+    draw: Callable[Given, Drawn], width: float = 7.0, *, formulas: bool = False
+) -> Callable[Given, Drawn]:
+    """Return what draws a figure, `width` [in] wide, in this style whatever the user's settings.
+
+    formulas: whether texts between two `$` are formulas, as numbers of a logarithmic axis may be.
+    """
 
     @wraps(draw)
     def drawn(*values: Given.args, **settings: Given.kwargs) -> Drawn:
@@ -64,10 +69,17 @@ def styled(draw: Callable[Given, Drawn], width: float = 7.0) -> Callable[Given, 
             warnings.filterwarnings("ignore", "Glyph", UserWarning)  # missing in the font
             warnings.filterwarnings("ignore", "Attempting to set identical", UserWarning)
             mpl.rcdefaults()
-            mpl.rcParams.update(STYLE | {"figure.figsize": (width, width)})
+            more = {"figure.figsize": (width, width), "text.parse_math": formulas}
+            mpl.rcParams.update(STYLE | more)
             figure = draw(*values, **settings)
             if figure is None:
                 return figure
+            try:  # the numbers of axes are texts from the first drawing on
+                if formulas:
+                    figure.draw_without_rendering()
+            except ValueError:  # of a formula that is none
+                for text in figure.findobj(mpl.text.Text):
+                    text.set_parse_math(False)
             if layout := figure.get_layout_engine():  # fixed, so that saving again changes nothing
                 layout.execute(figure)
             figure.set_layout_engine(None)

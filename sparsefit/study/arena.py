@@ -129,6 +129,7 @@ class Arena:
     data: Data = field(init=False)
     file: Path = field(init=False)
 
+    @np.errstate(over="ignore", invalid="ignore")  # of answers of any size
     def outcomes(self, unit: int, data: Data, cells: Sequence[int]) -> list[Outcome]:
         """Certify each case, time all by turns until their medians are known, cross-validate."""
         self.unit, self.data, self.file = unit, data, self.crew.home / f"{unit}.npz"
@@ -204,8 +205,8 @@ class Arena:
         answered = int(np.isfinite(weights).all(axis=(1, 2)).sum())
         words = str(answer.content.get("words", "no words"))[:MAX_REASON]
         if answered < len(weights):
-            reason = f"{answered} of {len(weights)} points answered: {words}"
-            raise NoAnswerError("error", reason)
+            reason = f"{answered} of {len(weights)} points answered with finite weights"
+            raise NoAnswerError("error", f"{reason}: {words}")
         if case.weights is None:
             memory = _number(answer.content, "memory") - _number(ready.content, "memory")
             case.values |= {"memory": memory if memory > 0.0 else 0.0 * memory, "word": words}
@@ -298,8 +299,9 @@ class Arena:
         status, reason, requested = case.status or "ok", case.reason, self._requested(case)
         if not case.status and not case.values["excess"] <= requested:
             status = "inaccurate"
-            words = (f"certified {case.values['excess']:.1e}, asked for {requested:g}",)
-            reason = ": ".join(filter(None, (*words, case.values.get("word", ""))))
+            reason = f"certified {case.values['excess']:.1e}, asked for {requested:g}"
+            if (word := case.values.get("word", "")) != "returned":
+                reason = f"{reason}: {word}".removesuffix(": ")
         values = {
             "samples": self.data.samples or self.data.theta.shape[0],
             "columns": self.data.theta.shape[1],

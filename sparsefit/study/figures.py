@@ -428,7 +428,7 @@ def figures(
     wanted = names or entries.defaults(study, cases, "figures")
     for name, entry in entries.asked(study, "figure", LAYOUTS, wanted):
         if not isinstance(entry, Entry):
-            made: Figure = style.styled(entry)(cases, Figure)
+            made: Figure = style.styled(entry, formulas=True)(cases, Figure)
             every[name] = Picture(made, sentence(name.replace("_", " ")))
             continue
         drawing = style.styled(LAYOUTS[entry.compare or "settings"], entry.width)(entry, cases)

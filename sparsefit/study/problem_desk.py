@@ -276,7 +276,7 @@ class SolverDesk:
                 into[...] = np.asarray(solution.weights, float)
         rank = {"ok": 0, "inaccurate": 1, "unidentifiable": 2}
         worst = max(solutions, key=lambda each: rank.get(each.status, 3), default=None)
-        words = f"{worst.solver_status} {worst.reason}" if worst else "no answer"
+        words = (worst.reason or worst.solver_status) if worst else "no answer"
         clock = worst.clock if worst else None
         return {"words": one_line(words, 200), "memory": peak_memory(), "clock": clock}
 

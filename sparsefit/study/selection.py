@@ -258,7 +258,7 @@ def lines(selection: Selection, check: Selection | None = None) -> Iterator[str]
         f"{trials.LIMITS[name][0]} at most {trials.limit_text(name, limit)}"
         for name in trials.LIMITS if (limit := getattr(rule, name)) is not None
     ]  # fmt: skip
-    keeping = f"; {len(selection.passing)} keep {listed(limits, 'and')}" if limits else ""
+    keeping = f"; {len(selection.passing)} keep: {listed(limits, 'and')}" if limits else ""
     where = f" in {len(regimes)} regimes" if len(regimes) > 1 else ""
     yield f"Candidates: {len(selection.ranked)}{where}, chosen on {units[0]}{keeping}."
     if selection.refused:

@@ -120,7 +120,7 @@ def limit_text(constraint: str, value: float) -> str:
     _, factor, unit = LIMITS[constraint]
     if math.isinf(value) and constraint in TIMED:
         return "not measured"
-    return f"{significant(factor * value)} {unit}"
+    return f"{significant(factor * value).removesuffix('.00').removesuffix('.0')} {unit}"
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 import sparsefit as sf
 from sparsefit.errors import InputError
@@ -122,7 +121,7 @@ def sizes(cases):
 
 def drawn(cases, study):
     figure = Figure()
-    figure.subplots().plot(range(len(cases)), label=study.name)
+    figure.subplots().loglog(range(1, 9), range(1, 9), label=study.name)
     return figure
 
 def broken(cases):
@@ -142,7 +141,8 @@ def _helper(cases):
         made = tables.tables(mine, mine.cases)["sizes"]
         assert made.title == "How many"
         assert made.rows == [("lasso", 12), ("stlsq", 12)]
-        assert isinstance(figures.figures(mine, mine.cases)["drawn"].figure, Figure)
+        (axes,) = figures.figures(mine, mine.cases)["drawn"].figure.axes
+        assert all(number.get_parse_math() for number in axes.get_xticklabels())  # 10^0
 
     @pytest.mark.parametrize(("name", "words"), [("broken", "KeyError"), ("drawn", "no DataFrame"),
                                                  ("_helper", "unknown table")])  # fmt: skip

@@ -195,7 +195,7 @@ class TestRegimes:
         selection = chosen(self.made, max_silent_misses=0.4)
         assert selection.chosen.title == "steady"
         (breach,) = by_name(selection)["calm"].breaches
-        assert breach.words == "silent misses 100 % in storm, 40.0 % is the most"
+        assert breach.words == "silent misses 100 % in storm, 40 % is the most"
 
     def test_flights_without_a_flow_have_no_error_but_may_be_missed(self):
         made = self.made.assign(flow=np.where(self.made["condition"] == "storm", "none", "cells"))
