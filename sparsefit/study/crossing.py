@@ -190,7 +190,8 @@ def read_backends(file: FlightFile, place: Place) -> list[BackendPoint]:
     about = facts(about_backends, asked, foreign=foreign, place=place)
     for (keys, grid, settings), (canonical, own, walks) in zip(listed, about, strict=True):
         if (identity := canonical_json([keys.name, settings])) in fitted:
-            raise place.error(f'"{keys.name}" is listed twice with {shown(settings)}')
+            words = f"with {shown(settings)}" if settings else "without settings"
+            raise place.error(f'"{keys.name}" is listed twice {words}')
         # With "auto" a back-end walks a path of its own.
         alphas = [float(alpha) for alpha in grid.get(ALPHA, ()) if alpha != "auto"]
         along = walks and settings.get(ALPHA) != "auto" and len(alphas) > 1

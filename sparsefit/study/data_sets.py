@@ -129,7 +129,7 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
     real = pyarrow.float64()
     with regular_file(path, most=MOST_BYTES) as file, _refused(path):
         if path.suffix.lower() == ".csv":
-            head, lines = file.readline(LONGEST_LINE).decode("utf-8-sig"), 1
+            head, lines, bare = file.readline(LONGEST_LINE).decode("utf-8-sig"), 1, 0
             between = max(",;\t", key=head.count)
             labels = re.compile(LABEL % (between.encode(), between.encode()))
             (names,) = reader([head], delimiter=between)
@@ -137,7 +137,10 @@ def _read_table(path: Path) -> tuple[list[str], Array]:
                 if label := labels.search(block):
                     words = f"holds {label[1].decode()}, a name and no number"
                     raise InputError(f"{path}: {words}: leave its column out, or drop the zeros")
-                lines += max(block.count(b"\n"), block.count(b"\r"))
+                breaks = max(block.count(b"\n"), block.count(b"\r"))
+                lines, bare = lines + breaks, 0 if breaks else bare + len(block)
+                if max(len(head), bare) >= LONGEST_LINE:
+                    raise InputError(f"{path}: a line is longer than 1 MB: is it the right file?")
                 _check_size(path, lines * len(names))
             try:
                 table = csv.read_csv(
@@ -168,8 +171,8 @@ def _fault(text: str, names: Sequence[str]) -> str:
         place = f'column "{names[int(cell[1])]}" of row {int(cell[2]) - 1}'
         return f"{place} holds {shown(cell[3])}, no number: correct it, or leave its column out"
     if line := re.match(r"CSV parse error: Row #(\d+): Expected (\d+) columns, got (\d+)", text):
-        words = f"has {line[3]} values under {line[2]} names: add or remove separators"
-        return f"row {int(line[1]) - 1} {words}"
+        values = f"{line[3]} value{'s' * (line[3] != '1')} under {line[2]} names"
+        return f"row {int(line[1]) - 1} has {values}: add or remove separators"
     return f"not readable: {text[:200]}"
 
 

@@ -172,7 +172,7 @@ class ProblemKeys:
     test: str = ""
     library: Mapping[str, object] = key(dict)
     alter: tuple[Alteration, ...] = key(("as it is",))
-    count: int = key(1, Range(least=1))
+    count: int = key(1, Range(least=1, most=10_000))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,7 +37,8 @@ LARGEST = 1_000_000  # bytes of a study file, which are parsed within a second
 DEEPEST = 32  # tables and lists in one another
 KEY = r"""(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
 LONG_KEY = re.compile(rf"{KEY}(?:[ \t]*+\.[ \t]*+{KEY}){{{DEEPEST},}}+")
-LONG_NUMBER = re.compile(r"[\da-fA-F_]{301}")  # no number that anything is computed with
+# No number that anything is computed with.
+LONG_NUMBER = re.compile(r"(?<![\w\"'])(?:0[xob][\da-fA-F_]|\d)[\da-fA-F_]{300}")
 
 
 def read_toml(path: str | Path) -> dict[str, object]:
@@ -48,7 +49,7 @@ def read_toml(path: str | Path) -> dict[str, object]:
             large, nested too deeply or holds an integer beyond 300 digits.
     """
     try:
-        text = read_whole(path, most=LARGEST).decode("utf-8")
+        text = read_whole(path, most=LARGEST).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not UTF-8 text: save the study file as UTF-8") from None
     if (long := LONG_KEY.search(text)) is not None:

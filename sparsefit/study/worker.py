@@ -296,12 +296,13 @@ class Crew:
     def worker(self, desk: str) -> Worker:
         """The worker of a desk, started where there is none or it has ended."""
         reason = ""
+        if desk in self._workers and self._workers[desk].alive:
+            return self._workers[desk]
+        limits: Any = {"memory": self.memory, "stop": self.stop, "home": self.home}
         for _ in range(STARTS):
-            if desk in self._workers and self._workers[desk].alive:
-                return self._workers[desk]
-            limits: Any = {"memory": self.memory, "stop": self.stop, "home": self.home}
             try:
-                self._workers[desk] = Worker(*self.desk(desk), **limits)
+                worker = self._workers[desk] = Worker(*self.desk(desk), **limits)
+                return worker
             except (NoAnswerError, OSError) as failed:
                 reason = failed.reason if isinstance(failed, NoAnswerError) else described(failed)
         raise SparsefitError(
