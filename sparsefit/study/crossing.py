@@ -154,6 +154,7 @@ def read_protocols(file: FlightFile, sweep: Grid, place: Place) -> dict[str, Lev
         for dotted in set(sweep) & set(protocols[-1][1]):
             raise place.at(dotted).error(f'is in [sweep] too: "{keys.name}" cannot also set it')
     distinct([name for name, _ in protocols] or ["default"], place.at("name"))
+    distinct([levels for _, levels in protocols] or [{}], place)  # else they would be pooled
     return dict(protocols) or {"default": {}}
 
 
