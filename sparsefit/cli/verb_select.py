@@ -84,6 +84,7 @@ def run(args: argparse.Namespace) -> Reply:
         text = json.dumps(estimator, indent=2, allow_nan=False) + "\n"
         write_whole(args.output, text.encode())
         record |= {"output": args.output}
+        usage = f"use it: sparsefit export {args.output} --c FOLDER" if rule.on_board else usage
     else:
         usage = f"use it: {study.call(chosen.candidate)}"
     listed = (f"- {line}" for line in lines(selection, checked))

@@ -24,6 +24,7 @@ from sparsefit.study.columns import STATUSES
 from sparsefit.study.entries import asked, grouped, is_predicted, script_of
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import in_flow, measure, stated
+from sparsefit.study.store import MANIFEST, read_record
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files
@@ -208,9 +209,7 @@ def write(study: Any) -> list[Path]:
         for words, file in (("study file", Path(study.path)), ("script", script_of(study)))
         if file is not None and file.is_file()
     ]
-    manifest = study.folder / "manifest.json"
-    if manifest.is_file():
-        record = json.loads(manifest.read_text(encoding="utf-8"))
+    if record := read_record(study.folder / MANIFEST):
         rows = [(key.replace("_", " "), json.dumps(value)) for key, value in record.items()]
         run.append(Table("Versions, machine and time", (Column("what"), Column("value")), rows))
     sections: dict[str, Sequence[Any]] = {
