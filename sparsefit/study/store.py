@@ -301,8 +301,9 @@ class Store:
 
 
 def discard(folder: Path, *exported: str) -> None:
-    """Remove `cases.sqlite`, and the exported files that are named."""
-    for name in (STORE, f"{STORE}-journal", *exported):
+    """Remove `cases.sqlite`, what a killed export has left, and the exported files named."""
+    rests = (path.name for own in (CASES, MANIFEST) for path in folder.glob(f".{own}.*.partial"))
+    for name in (STORE, f"{STORE}-journal", *exported, *rests):
         with refusing(folder / name):
             (folder / name).unlink(missing_ok=True)
 
