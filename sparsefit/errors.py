@@ -72,10 +72,9 @@ def described(error: BaseException, most: int = 500) -> str:
 
 def suggestion(name: str, valid: Iterable[str]) -> str:
     """Return ``: did you mean "x"?`` or, where no valid name is near, ``(known: x, y)``."""
-    by_folded = {candidate.casefold(): candidate for candidate in valid}
-    near = get_close_matches(name.casefold(), by_folded, n=1)
-    every = f" (known: {_listed(sorted(by_folded.values()))})"
-    return f': did you mean "{by_folded[near[0]]}"?' if near else every
+    names = {candidate.casefold(): candidate for candidate in sorted(valid)}
+    near = get_close_matches(name.casefold(), names, n=1)
+    return f': did you mean "{names[near[0]]}"?' if near else f" (known: {_listed(names.values())})"
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -88,8 +87,7 @@ def unknown(kind: str, name: object, valid: Iterable[str], listed: str = "") -> 
     text = one_line(name if isinstance(name, str) else shown(name), LONGEST)
     near = suggestion(text, names := list(valid))
     every = f"listed in {listed}" if listed else f"known: {_listed(names)}"
-    hint = near if near.startswith(":") else ""
-    return InputError(f'unknown {kind} "{text}"{hint} ({every})')
+    return InputError(f'unknown {kind} "{text}"{near if near[0] == ":" else ""} ({every})')
 
 
 def one_of(kind: str, value: object, valid: Iterable[str], listed: str = "") -> None:
