@@ -1,8 +1,9 @@
 """A study of problems, worker side: solvers, and in another process the certificates.
 
 A `SolverDesk` reads each problem from a file. For every solve it makes new arrays: read-only copies
-at other addresses, with the signs of rows and of the target changed, (D Z, s D y) for signs D and
-s. That is the same problem with the solution s W in other bytes, so that a cached answer is wrong.
+at other addresses, the rows in another order P, and signs of rows and of the target changed,
+(P D Z, s P D y). That is the same problem with the solution s W in other bytes, so that a cached
+answer is wrong.
 Where a penalty takes V and -V for different, s = 1.
 Weights are written into a file that the parent has filled with NaN; those that are missing when the
 clock stops count as unanswered.
@@ -150,26 +151,25 @@ def problem_of(data: Data, *, partial: bool = False) -> RegressionProblem:
 
 
 def part_of(data: Data, without: tuple[int, int] | None, seed: int) -> Data:
-    """A read-only copy of the rows without a range, with signs drawn by a seed."""
-    every = np.arange(len(data.target))
-    chosen = slice(None) if without is None else np.delete(every, np.s_[slice(*without)])
-    signs, sign = signs_of(len(data.target[chosen]), seed)
-    theta, target = data.theta[chosen], sign * signs[:, None] * data.target[chosen]
-    numbers = theta = theta * signs[:, None] if isinstance(theta, np.ndarray) else theta.copy()
-    if not isinstance(theta, np.ndarray):
+    """A read-only copy of the rows without a range, in an order and with signs drawn by a seed.
+
+    Seed 0: in their order, without signs; an odd seed: with the other sign of the target, too.
+    """
+    order, sign = np.delete(np.arange(len(data.target)), np.s_[slice(*without or (0, 0))]), 1.0
+    signs = np.ones(len(order))
+    if seed:
+        draw, sign = np.random.default_rng(seed), -1.0 if seed % 2 else 1.0
+        order, signs = draw.permutation(order), draw.choice([-1.0, 1.0], len(order))
+    across = data.theta.T  # by which a copy of columns stays one of columns
+    theta, target = across[:, order].T, sign * signs[:, None] * data.target[order]
+    if isinstance(theta, np.ndarray):
+        theta *= signs[:, None]
+    else:
+        theta.sort_indices()
         theta.data *= signs[theta.indices]
-        numbers = theta.data
-    for array in (numbers, target):
+    for array in (theta if isinstance(theta, np.ndarray) else theta.data, target):
         array.setflags(write=False)
     return Data(theta, target, data.groups, samples=data.samples if without is None else None)
-
-
-def signs_of(rows: int, seed: int) -> tuple[Array, float]:
-    """The signs of the rows (m,) and of the target; all +1 for seed 0."""
-    if not seed:
-        return np.ones(rows), 1.0
-    signs = np.random.default_rng(seed).choice([-1.0, 1.0], rows)
-    return signs, -1.0 if seed % 2 else 1.0
 
 
 def solve(
