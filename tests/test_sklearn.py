@@ -146,7 +146,7 @@ def test_without_scikit_learn_the_extra_is_named(monkeypatch):
 def test_a_sparse_matrix_gives_what_the_dense_one_gives(name, intercept, weighted):
     design, target = data(targets=1)
     design[np.abs(design) < 3.0] = 0.0
-    design[:, 5] = 0.0
+    design[:, 5] = 1e9 * intercept
     weight = np.random.default_rng(2).integers(0, 3, len(design)).astype(float)
     settings = {"alpha_fraction": 0.05, "fit_intercept": intercept}
     weights = weight if weighted else None

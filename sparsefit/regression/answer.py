@@ -9,10 +9,10 @@ import numpy as np
 
 from sparsefit.arrays import Array, Brief, IntArray
 from sparsefit.cached import cached_property
-from sparsefit.errors import InputError, is_real, one_line, shown
+from sparsefit.errors import InputError, is_real, shown
 from sparsefit.regression.backend import Backend, PenalisedBackend, settings_of
 from sparsefit.regression.certificate import Certificate
-from sparsefit.regression.problem import RegressionProblem
+from sparsefit.regression.problem import RegressionProblem, real_matrix
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -84,14 +84,9 @@ class Fit(Brief):
                 )
             theta = theta[[labels[name] for name in names]]
         values = getattr(theta, "to_numpy", lambda: theta)()
-        is_sparse = hasattr(values, "tocsr")
-        try:
-            rows = values if is_sparse else np.atleast_2d(np.asarray(values, dtype=float))
-        except (TypeError, ValueError, OverflowError) as error:
-            words = one_line(str(error), 100)
-            raise InputError(f"predict needs an array of real numbers: {words}") from None
-        if rows.shape[1] != self.problem.columns:
-            raise InputError(f"predict needs {self.problem.columns} columns, not {rows.shape[1]}")
+        rows = values if hasattr(values, "tocsr") else real_matrix(values, "rows")
+        if rows.ndim != 2 or rows.shape[1] != self.problem.columns:
+            raise InputError(f"predict needs {self.problem.columns} columns, not {rows.shape[-1]}")
         out: Array = np.asarray(rows @ self.weights) + self.intercept
         return out[:, 0] if out.shape[1] == 1 else out
 

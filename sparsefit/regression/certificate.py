@@ -255,7 +255,8 @@ def _gaps(
         start, cut = loss.clipped(target, loss.bound(target))
         null = design.overlaps(cut, start - 0.5 * cut)
         whole = float(np.minimum(null, 0.5 * level**2).sum())
-    doubt, whole = doubt + gamma * primal, whole or 1.0
+    doubt += gamma * (primal + alphas * penalty.rough(scaled))
+    whole = whole or 1.0
     full = point.with_ridge(scaled, alphas, penalty) if penalty.ridge else point
     dual, least = full.bounds(alphas, penalty, level)
     if isinstance(loss, RootSquares):

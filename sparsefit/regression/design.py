@@ -179,8 +179,13 @@ class Design:
 
     @cached_property
     def rms(self) -> Array:
-        """The rms of the columns (k,), in the units of theta; 1 for a column of zeros."""
+        """The rms of the columns (k,), in the units of theta; 1 for a column of zeros.
+
+        Of a column that is constant to rounding: before it was centred.
+        """
         rms = np.sqrt(np.maximum(self.squares, 0.0) / self.samples)
+        if self.direction is not None and not rms.all():
+            rms = np.where(rms > 0.0, rms, replace(self, direction=None).rms)
         rms[rms == 0.0] = 1.0
         rms.setflags(write=False)
         return rms

@@ -108,6 +108,10 @@ class FusedNorm(Penalty):
         total: Array = self.ratio * np.abs(values).sum(axis=(-2, -1)) + (1.0 - self.ratio) * jumps
         return total
 
+    def rough(self, values: Array) -> Array:
+        signs = np.where(np.arange(self.count) % 2, -1.0, 1.0)
+        return self.norm(np.abs(values) * signs[:, None])
+
     def prox(self, values: Array, step: float) -> Array:
         flat = np.stack([_taut(column, step * (1.0 - self.ratio)) for column in values.T], axis=1)
         return soft(flat, np.full((1, 1), step * self.ratio))

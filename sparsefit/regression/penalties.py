@@ -71,6 +71,10 @@ class Penalty(ABC):
         square = np.square(values).sum(axis=(-2, -1)) if self.ridge else 0.0
         return self.norm(values) + 0.5 * self.ridge * square
 
+    def rough(self, values: Array) -> Array | float:
+        """The largest norm of dV, |dV_jt| <= |V_jt|, shape (...); 0 where it is norm(V)."""
+        return 0.0
+
     def block_dual_norms(self, values: Array) -> Array:
         """The dual norm of each block of values (..., k, n): (..., g, n), or (..., g, 1)."""
         return self.dual_norm(values)[..., None, :]
@@ -124,7 +128,20 @@ class Penalty(ABC):
         """
         if self.is_bounded:
             return np.zeros((*values.shape[:-2], values.shape[-1]))
-        return self.dual_norm(values)
+        peaks, ours = self.dual_norm(values), type(self).__module__.startswith("sparsefit.")
+        return peaks if ours else np.maximum(peaks, self._along_axes(values, peaks.shape[-1]))
+
+    def _along_axes(self, values: Array, parts: int) -> Array:
+        """The largest <C, V>/norm(V) of V on 64 axes of the largest C, (..., n) or (..., 1).
+
+        A dual norm is no less, and this rests on the norm alone.
+        """
+        index = np.argsort(-np.abs(values).reshape(-1, *values.shape[-2:]).max(axis=(0, 2)))[:64]
+        axes, part = np.eye(self.columns)[index, :, None], values[..., index, :]
+        with np.errstate(divide="ignore", invalid="ignore"):  # of no price
+            pulls = np.fmax(part / self.norm(axes)[:, None], -part / self.norm(-axes)[:, None])
+        peaks: Array = np.fmax(pulls, 0.0).max(axis=-2)
+        return peaks if parts > 1 else peaks.max(axis=-1, keepdims=True)
 
     def raised(self, values: Array, peaks: Array, error: Array) -> Array:
         """A bound of the gauge where each entry has an error of up to (..., n); peaks: without."""

@@ -129,7 +129,7 @@ class RegressionProblem(Brief):
             if hasattr(index, "equals") and hasattr(other, "equals") and not index.equals(other):
                 words = f"theta and {name} differ in their index: align them"
                 raise InputError(f"{words}, or use to_numpy() where rows match by position")
-        source, values = _source(theta), _matrix(target, "target")
+        source, values = _source(theta), real_matrix(target, "target")
         columns, inner = int(source.shape[1]), None
         named = _labels(theta, columns) if names is None else names
         listed = isinstance(named, Iterable) and getattr(named, "ndim", 1) == 1
@@ -145,8 +145,9 @@ class RegressionProblem(Brief):
         weight, posed = None, dict[str, Any](target=values)
         if sample_weight is not None:
             weight = frozen("sample_weight", sample_weight, (len(values),))
-            if weight.min() < 0 or not weight.any():
-                raise InputError("sample_weight must be >= 0, and not zero for every sample")
+            if weight.min() < 0 or not 0.0 < weight.max() <= LARGEST**2:
+                words = f"sample_weight must be in [0, {LARGEST**2:g}]"
+                raise InputError(f"{words}, and not zero for every sample")
         if (intercept or weight is not None) and len(values) == source.shape[0]:
             posed = _adjusted(values, weight, intercept)
         targets = tuple(map(str, _labels(target, values.shape[1])))
@@ -339,7 +340,7 @@ def _source(theta: Any) -> Any:
     is_sparse = package == "scipy" and hasattr(theta, "tocsc")
     by_rows = package == "dask" or isinstance(theta, np.memmap) or sliced
     if not (is_sparse or (by_rows and hasattr(theta, "shape"))):
-        return _matrix(theta, "theta")
+        return real_matrix(theta, "theta")
     if len(theta.shape) != 2 or np.dtype(getattr(theta, "dtype", float)).kind not in "fiub":
         raise InputError(f"theta must be a matrix of real numbers, not {type(theta).__name__}")
     if not is_sparse:
@@ -350,8 +351,11 @@ def _source(theta: Any) -> Any:
     return matrix
 
 
-def _matrix(values: ArrayLike, name: str) -> Array:
-    """The values as a float64 matrix, without a copy if in C or Fortran order."""
+def real_matrix(values: ArrayLike, name: str) -> Array:
+    """The values as a float64 matrix, without a copy if in C or Fortran order.
+
+    name: of theta, of a target, which may be one column, or of rows, which may be one.
+    """
     if hasattr(values, "toarray"):
         raise InputError(f"{name} is a sparse matrix: pass {name}.toarray()")
     if np.ma.is_masked(values):
@@ -363,13 +367,13 @@ def _matrix(values: ArrayLike, name: str) -> Array:
     except (TypeError, ValueError, OverflowError) as error:
         if name == "theta" and hasattr(values, "iloc"):  # names the first column without numbers
             for place, label in enumerate(getattr(values, "columns", ())):
-                _matrix(values.iloc[:, [place]], f"column {shown(label)}")
+                real_matrix(values.iloc[:, [place]], f"column {shown(label)}")
         raise InputError(f"{name} must hold real numbers: {one_line(str(error), 100)}") from None
-    if array.ndim == 1 and name == "target":
-        array = array[:, None]
+    if array.ndim == 1 and name != "theta":
+        array = array[:, None] if name == "target" else array[None]
     if array.ndim != 2:
-        words = "theta must have shape (m, k) and target (m,) or (m, n)"
-        raise InputError(f"{words}, and {name} has {array.shape}")
+        shape = "(m,) or (m, n)" if name == "target" else "(m, k)"
+        raise InputError(f"{name} must have shape {shape}, not {array.shape}")
     return array if array.flags.c_contiguous or array.flags.f_contiguous else array.copy()
 
 

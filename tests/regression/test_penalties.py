@@ -95,6 +95,15 @@ def test_some_columns_alone_have_the_penalty_of_the_others_at_zero(penalty: Pena
     assert np.allclose(part.prox(values, 0.05), penalty.prox(full, 0.05)[index])
 
 
+def test_the_norm_bounds_a_wrong_dual_norm_from_below() -> None:
+    class Odd(AbsoluteValues):
+        def block_dual_norms(self, values):
+            return 0.5 * super().block_dual_norms(values)
+
+    pull = np.random.default_rng(3).normal(size=(K, N))
+    assert np.array_equal(Odd(np.ones(K)).constraint(pull), np.abs(pull).max(axis=0))
+
+
 def test_hand_values() -> None:
     column = np.array([[3.0], [-4.0]])
     both = NestedNorms(GroupNorms(np.zeros(2, int), np.ones(1)), AbsoluteValues(np.ones(2)))
@@ -114,5 +123,6 @@ def test_hand_values() -> None:
         assert slope.violations(columns, np.ones((2, 1)), 1.0).tolist() == [-1.0, -1.0]
     fused = FusedNorm(3, 0.5)
     assert float(fused.value(np.array([[1.0], [1.0], [0.0]]))) == 1.5
+    assert float(fused.rough(np.array([[1.0], [1.0], [0.0]]))) == 2.5  # jumps of 2 and 1
     # runs: all (6 / 1.5), the last two (5 / 1.5), the middle (2 / 1.5), the last (3 / 1)
     assert fused.dual_norm(np.array([[1.0], [2.0], [3.0]]))[0] == pytest.approx(4.0)
