@@ -111,7 +111,7 @@ class RegressionProblem(Brief):
 
         theta: an array, a sparse matrix (scipy), a memory map, a dask array, a DataFrame or any
         object with a shape whose rows can be sliced. Names of columns of a frame or series are
-        kept. Arrays of float64 in C or Fortran order are not copied and must not change while the
+        kept. Theta of float64 in C or Fortran order is not copied and must not change while the
         problem is in use: `fit` and `path` refuse an array in memory that was changed in place, by
         a digest of 512 of its entries; a change of files or dask arrays is not detected.
 
@@ -129,7 +129,7 @@ class RegressionProblem(Brief):
             if hasattr(index, "equals") and hasattr(other, "equals") and not index.equals(other):
                 words = f"theta and {name} differ in their index: align them"
                 raise InputError(f"{words}, or use to_numpy() where rows match by position")
-        source, values = _source(theta), real_matrix(target, "target")
+        source, values = _source(theta), real_matrix(target, "target").copy("K")
         columns, inner = int(source.shape[1]), None
         named = _labels(theta, columns) if names is None else names
         listed = isinstance(named, Iterable) and getattr(named, "ndim", 1) == 1
