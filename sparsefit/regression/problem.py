@@ -347,7 +347,9 @@ def _source(theta: Any) -> Any:
         return theta
     matrix = theta.tocsc()
     matrix = matrix if matrix.dtype == np.float64 else matrix.astype(np.float64)
-    matrix.sum_duplicates()
+    if not matrix.has_canonical_format:
+        matrix = matrix.copy()  # the caller's, perhaps
+        matrix.sum_duplicates()
     return matrix
 
 
