@@ -27,7 +27,7 @@ from sparsefit.solvers.newton import Columns, solved_by_newton
 
 START = 200  # columns in play at first
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that lets no column join
-GROSS = 100.0  # knots, at which a target is cut off at first
+GROSS = 10.0  # knots, at which a target is cut off at first
 
 
 @dataclass(frozen=True, eq=False)
