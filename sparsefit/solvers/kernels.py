@@ -112,6 +112,7 @@ def homotopy(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float) -
     return Points(values, complete, steps)
 
 
+@np.errstate(all="ignore")  # what breaks is caught by the gap, not by warnings
 def _each(
     on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float, improved: Improved
 ) -> Points:
@@ -147,8 +148,7 @@ def variational(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: float
     search = sources.Search(problem, norms * weights / alpha, stop)  # |W_g| = eta_g alpha there
 
     def improved(alpha: float, start: Array) -> tuple[Array, float, int]:
-        with np.errstate(all="ignore"):  # what breaks is caught by the gap, not by warnings
-            values, gap, spent = search.minimised(alpha)
+        values, gap, spent = search.minimised(alpha)
         return values.T / scale, gap, spent
 
     return _each(on, alphas, warm_starts, stop, improved)
