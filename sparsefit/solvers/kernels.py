@@ -227,7 +227,7 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
 
     def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
         nonlocal bends
-        gap, rounds, met = np.inf, 0, bool(values.any())
+        gap, rounds, met, least, since = np.inf, 0, bool(values.any()), np.inf, 0
         if alpha in warm_starts or not bends:
             values, met = towards_clusters_optimum(on, alpha, values)
         elif len(trail) > 1 and trail[-2][0] > trail[-1][0]:  # the path is nearly straight
@@ -236,7 +236,9 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
         for rounds in range(CLUSTERED):
             pull = on.cross - on.times(values)
             gap = np.inf if met and stop < ROUGH else relative_gap(on, alpha, values, pull)
-            if gap <= stop:
+            if gap <= 0.5 * least:
+                least, since = gap, rounds
+            if gap <= stop or rounds > since + CLUSTERED // 5:  # far from a solution
                 break
             values = penalty.prox(values + step * pull, step * alpha)
             state = target - on.off(rows @ values) if columns else on.cross - on.times(values)
