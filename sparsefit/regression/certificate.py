@@ -217,6 +217,7 @@ def duality_gaps(
     return tuple(Certificate("duality_gap", *row) for row in gaps.T.tolist())
 
 
+@np.errstate(all="ignore")  # what overflows proves nothing
 def _gaps(
     design: Design, data: tuple[Array, Sums | None], scaled: Array, alphas: Array, penalty: Penalty
 ) -> tuple[Array, Array, Array, Array]:
@@ -267,8 +268,8 @@ def _gaps(
                     dual[i], least[i] = value, bound
     gap = np.abs(primal - dual) / whole  # D above P: the penalty's parts are at odds
     most = (primal - least + doubt) / whole * (1.0 + 2.0 * gamma)
-    with np.errstate(invalid="ignore"):  # of weights beyond their bounds, P is infinite
-        return gap, primal, dual, np.maximum(most - gap, 0.0)
+    rounding = np.maximum(most - gap, 0.0)  # of infinite P, and of what overflowed, not a number
+    return gap, primal, dual, np.where(np.isnan(rounding), np.inf, rounding)
 
 
 def _clipped(
