@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import sparsefit
-from sparsefit.backends import BACKENDS
 
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 GUIDE = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
@@ -112,10 +111,6 @@ def test_solvers_peers_and_pickles_are_imported_by_those_who_are_for_them():
     assert not wrong
 
 
-def test_every_back_end_is_a_class_of_the_solvers():
-    assert all(home.startswith("sparsefit.solvers.") for home in BACKENDS.values())
-
-
 def needs_of(path, modules):
     """The modules that a module imports; of `from room import file` the file, not the room."""
     names = {module for module, _ in imports_of(path)} & set(modules)
@@ -204,10 +199,6 @@ def test_records_are_frozen():
 
 def test_every_public_name_is_there():
     assert not [name for name in sparsefit.__all__ if getattr(sparsefit, name, None) is None]
-
-
-def test_no_room_is_a_drawer_for_odds_and_ends():
-    assert not {p.stem for p in FILES} & {"utils", "helpers", "common", "misc", "tools"}
 
 
 def test_random_numbers_come_from_seeds():

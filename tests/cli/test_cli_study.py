@@ -264,11 +264,6 @@ def test_a_rule_of_selection_that_is_none_is_refused_before_a_run(capsys, half):
         assert words in refused(capsys, "study", action, "bad.toml")
 
 
-@pytest.mark.parametrize("name", ["missing.toml", "."])
-def test_a_study_file_that_is_none_is_refused(capsys, half, name):
-    assert name in refused(capsys, "study", "check", name)
-
-
 def test_results_of_another_study_are_refused(capsys, finished):
     Path(finished).write_text(STUDY.replace("seed = 1", "seed = 2"))
     for action in ("study run", "study status", "study errors", "study show", "select"):
@@ -278,6 +273,7 @@ def test_results_of_another_study_are_refused(capsys, finished):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        *((f"check {name}", name) for name in ("missing.toml", ".")),
         ("run small.toml --results file", "cannot write file/small"),
         ("run small.toml --processes 0", "at least 1"),
         ("show small.toml --table eror", 'did you mean "errors"?'),

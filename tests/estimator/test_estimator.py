@@ -257,8 +257,8 @@ def track():
     return flight.position
 
 
-PIECES = [(10, 0), *(pytest.param(*own, marks=pytest.mark.slow)
-                    for own in ((10, 15), (5, 0), (5, 15), (25, 0)))]  # fmt: skip
+PIECES = [(5, 0), *(pytest.param(*own, marks=pytest.mark.slow)
+                    for own in ((10, 15), (10, 0), (5, 15), (25, 0)))]  # fmt: skip
 
 
 @pytest.mark.parametrize(("days", "first"), PIECES)
