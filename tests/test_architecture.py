@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-import sparsefit
-
 PACKAGE = Path(__file__).parents[1] / "sparsefit"
 GUIDE = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
 ORDER = GUIDE.partition("precede it in this order:")[2].partition("`tests/")[0]
@@ -195,10 +193,6 @@ def test_records_are_frozen():
         if text.startswith("dataclass") and "frozen=True" not in text
     ]
     assert not wrong
-
-
-def test_every_public_name_is_there():
-    assert not [name for name in sparsefit.__all__ if getattr(sparsefit, name, None) is None]
 
 
 def test_random_numbers_come_from_seeds():

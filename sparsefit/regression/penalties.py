@@ -128,6 +128,7 @@ class Penalty(ABC):
         """
         if self.is_bounded:
             return np.zeros((*values.shape[:-2], values.shape[-1]))
+        # The dual norms of the package are tested against their norms; others may be wrong.
         peaks, ours = self.dual_norm(values), type(self).__module__.startswith("sparsefit.")
         return peaks if ours else np.maximum(peaks, self._along_axes(values, peaks.shape[-1]))
 

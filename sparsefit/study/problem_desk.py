@@ -3,10 +3,9 @@
 A `SolverDesk` reads each problem from a file. For every solve it makes new arrays: read-only copies
 at other addresses, the rows in another order P, and signs of rows and of the target changed,
 (P D Z, s P D y). That is the same problem with the solution s W in other bytes, so that a cached
-answer is wrong.
-Where a penalty takes V and -V for different, s = 1.
-Weights are written into a file that the parent has filled with NaN; those that are missing when the
-clock stops count as unanswered.
+answer is wrong. Where a penalty takes V and -V for different, s = 1. Weights are written into a
+file that the parent has filled with NaN; those that are missing when the clock stops count as
+unanswered.
 
 A `JudgeDesk` certifies an answer V from the rows of the problem by
 

@@ -61,7 +61,7 @@ tolerance = 1e-6
 
 def load(tmp_path: Path, text: str) -> FlightExperiment:
     path = tmp_path / "x.toml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8-sig")  # with a byte order mark
     return Study.from_file(path).flights
 
 
@@ -151,6 +151,8 @@ def test_an_example_message_to_the_letter(tmp_path: Path) -> None:
         ('"derivative.method"', '"derivatve.method"', 'did you mean "derivative.method"?'),
         ('name = "paper"', 'name = "better"', 'lists \'better\' twice'),
         ('name = "paper"\n', "", '[protocols] key "name" missing'),
+        ('"derivative.method" = "forward"\n"readout.length_scale" = "signed-sum"\n', "",
+         "[protocols] lists {} twice"),
         ('"derivative.method" =', '"flights.velocity_noise" = 1.0\n"derivative.method" =',
          "is in [sweep] too"),
         ("[0.0, 0.5]", "[]", '[sweep] key "flights.velocity_noise" must not be an empty list'),

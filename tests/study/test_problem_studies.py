@@ -334,6 +334,7 @@ def test_times_are_those_of_whole_comparisons(own):
     [
         ('[[problems]]\ndataset = "digit"\n', 'did you mean "digits"?'),
         ('[[problems]]\ngenerator = "wide"\nsupport = 9999\n', "lie within the columns"),
+        ('[[problems]]\ngenerator = "wide"\ncount = 10001\n', "at most 10000"),
         ('[[problems]]\ngenerator = "wyde"\n', 'did you mean "wide"?'),
         ('[[problems]]\nfile = "no.npz"\n', "No such file"),
         ('[[problems]]\nfil = "no.npz"\n', 'did you mean "file"?'),
