@@ -128,14 +128,14 @@ class Penalty(ABC):
         """
         if self.is_bounded:
             return np.zeros((*values.shape[:-2], values.shape[-1]))
-        # The dual norms of the package are tested against their norms; others may be wrong.
         peaks, ours = self.dual_norm(values), type(self).__module__.startswith("sparsefit.")
         return peaks if ours else np.maximum(peaks, self._along_axes(values, peaks.shape[-1]))
 
     def _along_axes(self, values: Array, parts: int) -> Array:
         """The largest <C, V>/norm(V) of V on 64 axes of the largest C, (..., n) or (..., 1).
 
-        A dual norm is no less, and this rests on the norm alone.
+        A dual norm is no less, and this rests on the norm alone: a penalty of others may have a
+        wrong one, while those of the package are tested.
         """
         index = np.argsort(-np.abs(values).reshape(-1, *values.shape[-2:]).max(axis=(0, 2)))[:64]
         axes, part = np.eye(self.columns)[index, :, None], values[..., index, :]
