@@ -22,11 +22,13 @@ evidence: $(VENV)/.tests
 	$(BIN)/sparsefit select studies/select.toml --output results/select/estimator.json --force
 
 # Bytecode is kept, whatever the environment says: every process of the tests would compile the
-# package anew, and pytest rewrite all tests in each of its workers.
+# package anew, and pytest rewrite all tests in each of its workers. These are one more than there
+# are processors, as tests of limits and kills wait rather than compute.
 test: export PYTHONDONTWRITEBYTECODE :=
 test: $(VENV)/.tests
 	$(BIN)/python -m compileall -q sparsefit
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+	$(BIN)/python -m pytest --dist worksteal \
+		--numprocesses $$($(BIN)/python -c 'import os; print(os.cpu_count() + 1)')
 
 # What takes long, and what needs dask.
 slow: $(VENV)/.slow
