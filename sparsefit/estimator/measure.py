@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -214,14 +215,22 @@ def measure_flow(
     if not optima:
         return None
 
+    @cache
+    def calm() -> float:
+        """The log-likelihood of turbulence alone, and what chance adds to it."""
+        odds = max(len(prepared.search.lobes), 1) / FALSE_ALARM
+        return _turbulent(logs, optima[0].posterior) + math.log(odds)
+
     def diagnosed(own: Optimum, least: float = -math.inf) -> tuple[Diagnosis, float]:
-        """The diagnosis of an optimum, and its excess over turbulence (`_excess`)."""
+        """The diagnosis of an optimum, and 2 ln(likelihood ratio) of it over turbulence alone."""
         there, proposal = own.posterior, own.proposal
         alone = Diagnosis(there, there)
         goodness = Goodness.of(there, alone)
         white = goodness.whiteness > 1e-6 or there.exact or there.pushed
         clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
-        excess = math.inf if clear else _excess(prepared, logs, there)
+        excess = math.inf
+        if not clear:
+            excess = 2.0 * (there.log_likelihood - calm()) - len(there.model.pattern.names)
         followed = not prepared.too_fast(there.model.pattern.length_scale)
         if not followed or not (excess > -HIDDEN or goodness.r_squared > MOSTLY):
             return alone, excess
@@ -254,7 +263,7 @@ def measure_flow(
     shape = first.posterior.model.pattern.waves.shape
     alike = [own for own in optima if own.posterior.model.pattern.waves.shape == shape]
     plain = min(alike, key=lambda own: len(own.posterior.names))
-    if len(plain.posterior.names) < len(first.posterior.names):
+    if len(plain.posterior.names) < len(diagnosis.posterior.names):
         # A cause beside it may be what the freer shape stands in for.
         fewer = len(diagnosis.posterior.names) - len(plain.posterior.names) - 1
         # BIC of 160,000 readings asks no more of a simpler shape with a cause.
@@ -376,8 +385,8 @@ def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
     return chosen
 
 
-def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior) -> float:
-    """2 ln(likelihood ratio) of a flow over turbulence alone, less its threshold by chance."""
+def _turbulent(logs: Sequence[FlightLog], posterior: Posterior) -> float:
+    """The log-likelihood of turbulence as fast as a flow, without the flow."""
     pattern = posterior.model.pattern
     speed = pattern.mean_velocity
     longest = 1e2 * pattern.length_scale  # no waves: no steps between readings that follow them
@@ -388,11 +397,7 @@ def _excess(prepared: Prepared, logs: Sequence[FlightLog], posterior: Posterior)
     ]
     gusts = replace(process_of("turbulence", posterior), level=0.5 * speed)
     nothing = fitted(logs, with_process(calm, gusts))
-    if nothing is None:
-        return -math.inf
-    odds = max(len(prepared.search.lobes), 1) / FALSE_ALARM
-    chance = 2 * math.log(odds) + len(pattern.names)
-    return 2 * (posterior.log_likelihood - nothing.log_likelihood) - chance
+    return math.inf if nothing is None else nothing.log_likelihood
 
 
 def read_waves(waves: Array) -> Array:
