@@ -214,23 +214,17 @@ def measure_flow(
     optima = _optima(prepared, logs, proposals, names, near)
     if not optima:
         return None
-
-    @cache
-    def calm() -> float:
-        """The log-likelihood of turbulence alone, and what chance adds to it."""
-        odds = max(len(prepared.search.lobes), 1) / FALSE_ALARM
-        return _turbulent(logs, optima[0].posterior) + math.log(odds)
+    turbulent = cache(lambda: _turbulent(logs, optima[0].posterior))
 
     def diagnosed(own: Optimum, least: float = -math.inf) -> tuple[Diagnosis, float]:
         """The diagnosis of an optimum, and 2 ln(likelihood ratio) of it over turbulence alone."""
         there, proposal = own.posterior, own.proposal
         alone = Diagnosis(there, there)
         goodness = Goodness.of(there, alone)
-        white = goodness.whiteness > 1e-6 or there.exact or there.pushed
-        clear = white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY
-        excess = math.inf
-        if not clear:
-            excess = 2.0 * (there.log_likelihood - calm()) - len(there.model.pattern.names)
+        excess, white = math.inf, goodness.whiteness > 1e-6 or there.exact or there.pushed
+        if not (white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY):
+            above = there.log_likelihood - turbulent() - math.log(len(prepared.search.lobes) or 1)
+            excess = 2.0 * (above + math.log(FALSE_ALARM)) - len(there.model.pattern.names)
         followed = not prepared.too_fast(there.model.pattern.length_scale)
         if not followed or not (excess > -HIDDEN or goodness.r_squared > MOSTLY):
             return alone, excess
@@ -263,7 +257,7 @@ def measure_flow(
     shape = first.posterior.model.pattern.waves.shape
     alike = [own for own in optima if own.posterior.model.pattern.waves.shape == shape]
     plain = min(alike, key=lambda own: len(own.posterior.names))
-    if len(plain.posterior.names) < len(diagnosis.posterior.names):
+    if len(plain.posterior.names) < min(len(first.posterior.names), len(diagnosis.posterior.names)):
         # A cause beside it may be what the freer shape stands in for.
         fewer = len(diagnosis.posterior.names) - len(plain.posterior.names) - 1
         # BIC of 160,000 readings asks no more of a simpler shape with a cause.
@@ -387,8 +381,7 @@ def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
 
 def _turbulent(logs: Sequence[FlightLog], posterior: Posterior) -> float:
     """The log-likelihood of turbulence as fast as a flow, without the flow."""
-    pattern = posterior.model.pattern
-    speed = pattern.mean_velocity
+    pattern, speed = posterior.model.pattern, posterior.model.pattern.mean_velocity
     longest = 1e2 * pattern.length_scale  # no waves: no steps between readings that follow them
     still = StreamPattern("axis", (1e-6 * speed, longest, 0.0, 0.0), origin=pattern.origin)
     calm = [

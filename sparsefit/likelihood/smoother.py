@@ -27,7 +27,7 @@ from sparsefit.likelihood.trellis import Leg, Pass
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise
 PASSES = 30  # at most, on few rows and on all
-LIFTS = 2  # restarts of the search with ten times the process noise
+LIFTS = 2  # restarts with ten times the process noise, where no likelihood is asked
 GAIN = 0.005  # of the log-likelihood in a pass, below which the search has converged
 NEGLIGIBLE = 0.01  # degrees of freedom of a level that counts as zero
 GATE = 4.5  # deviations beyond which a reading is left out
@@ -166,7 +166,7 @@ def climbed(
         if fallen or not math.isfinite(step.reached):
             if best is not None and halvings < 4:
                 halvings += 1
-            elif lifts < LIFTS:
+            elif lifts < LIFTS and math.isinf(least):
                 before = legs if best is None else [each.leg for each in best[0].passes]
                 levels = (10.0 * leg.model.disturbance.acceleration for leg in before)
                 pairs = zip(before, levels, strict=True)
