@@ -165,7 +165,7 @@ def exact_path(
         for name in ("weights", "complete", "steps"):
             getattr(points, name)[beyond] = getattr(bounded, name)
         points = replace(points, words=bounded.words)
-    return points
+    return replace(points, weights=penalty.prox(points.weights, 0.0))  # what rounding moved out
 
 
 def _by_targets(

@@ -155,8 +155,10 @@ class BoxLasso(PenalisedPath):
         if self.lower is None and self.upper is None:
             return plain
         lower, upper = -np.inf if self.lower is None else self.lower, self.upper
-        high = np.inf if upper is None else upper
-        return BoundedValues(plain.weights, lower * rms, high * rms)
+        bounds = np.array([[lower], [np.inf if upper is None else upper]])
+        edges = bounds * rms  # whose weights, divided by rms, must not exceed them by rounding
+        edges = np.where(np.abs(edges / rms) > np.abs(bounds), np.nextafter(edges, 0.0), edges)
+        return BoundedValues(plain.weights, *edges)
 
 
 @dataclass(frozen=True)
