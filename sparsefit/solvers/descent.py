@@ -88,8 +88,7 @@ class Walk:
 
         def pulled(rest: Array) -> Array:
             """Z_A'R/m (a,) of R without a part along e."""
-            out: Array = across @ rest
-            return out * scale / samples
+            return np.asarray(across @ rest) * scale / samples
 
         def times(x: Array) -> Array:
             return pulled(fitted(x)) + ridge * x

@@ -241,7 +241,7 @@ def _with_working_set(
         design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), rotations
     )
     points, new = Points.zeros(count, cross), index
-    done, is_settled, warm_starts = 0, False, {BEGIN: np.zeros((len(index), q))}
+    done, settled, warm_starts = 0, 0, {BEGIN: np.zeros((len(index), q))}
     while done < count:
         if len(new):
             size = len(working.index) + len(new)
@@ -251,22 +251,22 @@ def _with_working_set(
             if name == "cluster descent":  # which moves in sparse columns, too
                 by_gram = not stays or size <= FEW or design.csc.nnz >= 2**31
             working = working.extended(new, cross, by_gram)
-        here = alphas[done : done + AHEAD]
-        is_rough = not is_settled and name not in ("homotopy", "variational")
+        here = alphas[done : done + (settled or AHEAD)]
+        is_rough = not settled and size < k and name not in ("homotopy", "variational")
         goal = DESCENDED if name == "block descent" else STOP
         batch = KERNELS[name](working.problem, here, warm_starts, ROUGH if is_rough else goal)
-        is_rough = is_rough and not batch.complete.all()
+        here, is_rough = here[: len(batch.weights)], is_rough and not batch.complete.all()
         warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
         near = 0.0 if name == "newton" else NEAR  # whose steps cost more with each column
         accepted, new = _violations(working, here, batch.weights, near)
-        accepted, is_settled = 0 if is_rough else accepted, is_rough and not len(new)
+        accepted, settled = (0, 0 if len(new) else len(here)) if is_rough else (accepted, 0)
         until = done + accepted
         points.weights[done:until, working.index] = working.unrotated(batch.weights[:accepted])
         points.complete[done:until] = batch.complete[:accepted]
         points.steps[done:until] = batch.steps[:accepted]
         done = until
-        reached, wider = float(alphas[done - 1]) if done else BEGIN, ((0, len(new)), (0, 0))
-        warm_starts = {at: np.pad(v, wider) for at, v in warm_starts.items() if at <= reached}
+        reached, rows = float(alphas[done - 1]) if done else BEGIN, np.zeros((len(new), q))
+        warm_starts = {at: np.vstack([v, rows]) for at, v in warm_starts.items() if at <= reached}
     return replace(points, words=f"{name}, {len(working.index)} columns in play")
 
 
@@ -284,20 +284,17 @@ def _violations(
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
     residual = np.tile(working.target, (1, count)) - working.fitted(flat)
     pulls = design.correlate(residual).reshape(k, count, q).transpose(1, 0, 2)
-    separate = type(penalty).violations is Penalty.violations
-    if separate:
-        excess = penalty.violations(pulls, pulls, alphas)
-    else:
-        full = np.zeros(pulls.shape)
-        full[:, working.index] = values
-        points = zip(pulls, full, alphas.tolist(), strict=True)
-        excess = np.array([penalty.violations(*point) for point in points])
+    full = np.zeros(pulls.shape)
+    full[:, working.index] = values
+    points = zip(pulls, full, alphas.tolist(), strict=True)
+    excess = np.array([penalty.violations(*point) for point in points])
     excess[:, units[working.index]] = -2.0
     objecting = np.flatnonzero((excess > FEASIBLE).any(axis=1))
     if not len(objecting):
         return count, np.zeros(0, dtype=np.intp)
     worst = excess[objecting[:3]].max(axis=0)
     order = np.argsort(-worst, kind="stable")[: np.count_nonzero(worst > (-near or FEASIBLE))]
+    separate = type(penalty).violations is Penalty.violations
     most = 2 * size if near or not separate else size // 2
     return int(objecting[0]), _leading(units, order, max(most, START // 4))
 

@@ -67,7 +67,7 @@ class Points:
 WarmStarts = dict[float, Array]
 """V (j, q) by penalty: the last final solution, at the largest, and approximate later ones."""
 Kernel = Callable[[Columns, Array, WarmStarts, float], Points]
-"""(problem, penalties (p,), descending, warm starts, relative gap) -> solutions."""
+"""(problem, penalties (p,), descending, warm starts, relative gap) -> solutions of the first."""
 Improved = Callable[[float, Array], tuple[Array, float, int]]
 """(penalty, start V (j, q)) -> weights nearer to the optimum, their relative gap, and steps."""
 BEGIN: float = np.inf
@@ -126,6 +126,8 @@ def _each(
             points.steps[i] += taken
         points.weights[i], points.complete[i] = values, gap <= (STOP if stop == ROUGH else stop)
         near = {**warm_starts, alpha: values}
+        if stop == ROUGH and 4 * np.count_nonzero(values.any(axis=1)) > 3 * len(values):  # too few
+            return Points(points.weights[: i + 1], points.complete[: i + 1], points.steps[: i + 1])
     return points
 
 
