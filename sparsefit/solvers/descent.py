@@ -113,10 +113,7 @@ class Walk:
 def descent_path(
     design: Design, target: Array, cross: Array, penalty: AbsoluteValues, alphas: Array
 ) -> tuple[Array, BoolArray, IntArray]:
-    """Weights V (p, k) of one target (m,) at descending alphas (p,), which are solved, and steps.
-
-    cross Z'y/m (k,).
-    """
+    """Weights V (p, k) of a target (m,) at alphas (p,), which are solved, and steps; cross (k,)."""
     count, k = len(alphas), len(cross)
     walk = Walk(design, target)
     weights, complete = np.zeros((count, k)), np.zeros(count, bool)

@@ -9,7 +9,7 @@ most alpha. The solutions before the first violation are final. The violating bl
 largest violation first, and the path goes on from the last final solution. At most `FEW` columns
 are all in the working set, and Z'Z is formed once for all targets.
 
-Iterative kernels solve to a rough accuracy first, which suffices to extend J.
+Iterative kernels solve roughly first, which suffices to extend J, unless few of it are in use.
 
 The square-root loss has the optimality conditions of the squares at the penalty t = a rho/y, rho
 the residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): `_root_path` solves for t. Huber's
@@ -241,7 +241,8 @@ def _with_working_set(
         design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), rotations
     )
     points, new = Points.zeros(count, cross), index
-    done, settled, warm_starts = 0, 0, {BEGIN: np.zeros((len(index), q))}
+    settled = 0 if rotations is None else AHEAD  # penalties that are not solved roughly first
+    done, warm_starts = 0, {BEGIN: np.zeros((len(index), q))}
     while done < count:
         if len(new):
             size = len(working.index) + len(new)
@@ -259,11 +260,12 @@ def _with_working_set(
         warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
         near = 0.0 if name == "newton" else NEAR  # whose steps cost more with each column
         accepted, new = _violations(working, here, batch.weights, near)
-        accepted, settled = (0, 0 if len(new) else len(here)) if is_rough else (accepted, 0)
-        until = done + accepted
-        points.weights[done:until, working.index] = working.unrotated(batch.weights[:accepted])
-        points.complete[done:until] = batch.complete[:accepted]
-        points.steps[done:until] = batch.steps[:accepted]
+        few = rotations is not None and 6 * int(batch.weights[-1].any(axis=1).sum()) <= size
+        settled = 0 if len(new) else len(here) if is_rough else few * AHEAD
+        until = done if is_rough else done + accepted
+        points.weights[done:until, working.index] = working.unrotated(batch.weights[: until - done])
+        points.complete[done:until] = batch.complete[: until - done]
+        points.steps[done:until] = batch.steps[: until - done]
         done = until
         reached, rows = float(alphas[done - 1]) if done else BEGIN, np.zeros((len(new), q))
         warm_starts = {at: np.vstack([v, rows]) for at, v in warm_starts.items() if at <= reached}
@@ -283,7 +285,7 @@ def _violations(
     k, units = design.shape[1], penalty.units
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
     residual = np.tile(working.target, (1, count)) - working.fitted(flat)
-    pulls = design.correlate(residual).reshape(k, count, q).transpose(1, 0, 2)
+    pulls = design.correlate(residual).T.reshape(count, q, k).swapaxes(1, 2)
     full = np.zeros(pulls.shape)
     full[:, working.index] = values
     points = zip(pulls, full, alphas.tolist(), strict=True)
