@@ -121,12 +121,13 @@ def _each(
     for i, alpha in enumerate(alphas.tolist()):
         start = near[min(near, key=lambda each: abs(each - alpha))]
         values, gap, points.steps[i] = improved(alpha, start)
+        crowded = gap <= stop == ROUGH and float(values.any(axis=1).mean()) > 0.75
         if gap > stop:
             values, gap, taken = solved_by_newton(on, alpha, values, stop)
             points.steps[i] += taken
         points.weights[i], points.complete[i] = values, gap <= (STOP if stop == ROUGH else stop)
         near = {**warm_starts, alpha: values}
-        if stop == ROUGH and 4 * np.count_nonzero(values.any(axis=1)) > 3 * len(values):  # too few
+        if crowded:  # too few columns for what follows
             return Points(points.weights[: i + 1], points.complete[: i + 1], points.steps[: i + 1])
     return points
 
