@@ -28,6 +28,7 @@ import re
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from csv import Error as CSVError
 from csv import reader
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -89,6 +90,9 @@ def _refused(path: Path) -> Iterator[None]:
         yield
     except InputError:
         raise
+    except (UnicodeDecodeError, CSVError):
+        words = "no UTF-8 text with lines that end in \\n: save it as such"
+        raise InputError(f"{path}: {words}") from None
     except Exception as error:
         words = str(error) or type(error).__name__
         raise InputError(f"{path}: not readable: {words[:200]}") from None
@@ -97,6 +101,9 @@ def _refused(path: Path) -> Iterator[None]:
 def _read_arrays(path: Path) -> Data:
     """The arrays of a NumPy file, bounded before they are unpacked, their shapes in agreement."""
     with regular_file(path, most=MOST_BYTES) as file, _refused(path):
+        # Of the directory, which is read whole: ten names take less than a kilobyte.
+        if (end := zipfile._EndRecData(file)) and end[5] > LONGEST_LINE >> 4:  # type: ignore[attr-defined]
+            raise InputError(f"{path}: holds too many arrays: it needs theta and target")
         unpacked = sum(member.file_size for member in zipfile.ZipFile(file).infolist())
         if unpacked > MOST_BYTES:
             raise InputError(f"{path}: unpacks to {unpacked} bytes: take fewer samples or columns")

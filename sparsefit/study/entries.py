@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from functools import cache, partial
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 
 from sparsefit.arrays import IntArray
 from sparsefit.codec import Place, build
@@ -24,9 +25,6 @@ from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import Range, key
 from sparsefit.study.solver_times import is_race
 from sparsefit.study.table import Value, plain
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Options: TypeAlias = Mapping[str, object]
 MEASURED = ("settings", "protocols", "lines", "ecdf")  # layouts of any measures
@@ -192,8 +190,6 @@ def grouped(
     cases: pd.DataFrame, names: Sequence[str]
 ) -> Iterator[tuple[tuple[Value, ...], IntArray]]:
     """Give the values of each group of cases and the places of its rows, as they first appear."""
-    import pandas as pd
-
     keys = [cases[name].to_numpy() for name in names] or [np.zeros(len(cases))]
     places = pd.Series(np.arange(len(cases)))
     for level, own in places.groupby(keys, sort=False, dropna=False):
@@ -212,8 +208,6 @@ def level_text(level: Value) -> str:
 
 def levels_of(cases: pd.DataFrame, factor: str) -> pd.Series:
     """Return a column as text, categories in order: numbers ascending, others as they appear."""
-    import pandas as pd
-
     is_number = pd.api.types.is_numeric_dtype(cases[factor])
     codes, values = pd.factorize(cases[factor], sort=is_number, use_na_sentinel=False)
     words = np.array([level_text(plain(value)) for value in values], dtype=object)

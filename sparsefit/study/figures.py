@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
+import pandas as pd
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
@@ -26,7 +27,6 @@ from sparsefit.study.measures import SYMBOLS, Measure, answered, measure
 from sparsefit.study.table import listed, sentence
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -255,8 +255,6 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     Without `along`, every swept numeric factor is an axis. Levels of `columns` and `rows` have
     their own panels; all other factors are pooled.
     """
-    from pandas.api.types import is_numeric_dtype
-
     axes_of = [entry.along] if entry.along else measures.numeric_factors(cases)
     if not axes_of:
         raise InputError("along = …: no number is swept; name a column, such as condition")
@@ -268,7 +266,7 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     for along in axes_of:
         level_of = entries.levels_of(whole, along)[seen].cat.remove_unused_categories()
         codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
-        named = () if is_numeric_dtype(cases[along]) else tuple(levels)
+        named = () if pd.api.types.is_numeric_dtype(cases[along]) else tuple(levels)
         x = np.array(range(len(levels)) if named else levels, dtype=float)
         x_label = with_unit(factor_words(along), unit_of(along))
         for each in entry.measures:
@@ -437,6 +435,8 @@ def figures(
             if entry.compare == "ecdf" and not entry.title:
                 shown = "Distribution functions of all planned cases, failures included"
             said = [shown, *entry.notes]
+            if entry.compare == "ecdf" and any(a.get_xscale() == "log" for a in drawing.axes):
+                said.append("Logarithmic axes end beyond the 90 % quantile")
             axis = "x" if entry.compare == "ecdf" else "y"
             ends = [getattr(axes, f"get_{axis}lim")() for axes in drawing.axes]
             limits = [own for own in sorted(entry.limits) if any(a <= own <= b for a, b in ends)]

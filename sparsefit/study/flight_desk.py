@@ -2,7 +2,8 @@
 
     fly      simulate the flights of a unit, or read them from a log
     prepare  build the library of the cells of one regression problem
-    cases    fit (along one path, where that is shared) and read each cell
+    cases    fit (along the path of penalties that they are on) and read each cell
+    alone    the same without the path: of a cell whose path failed
 
 A row is (cell, status, reason, values). To time an estimate there are
 
@@ -218,22 +219,28 @@ class FlightDesk:
             self._estimators[index] = cell.setup.online.flying(estimator)
         return self._estimators[index]
 
-    def cases(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
+    def cases(self, unit: int, cells: Sequence[int], *, alone: bool = False) -> dict[str, Any]:
         """The rows of cells that share a fit, or a path of penalties."""
         rows = []
-        for index, reading in self.readings(unit, cells):
+        for index, reading in self.readings(unit, cells, alone=alone):
             estimate, values = reading.estimate, reading.values | truth_of(reading.flown.draw)
             reason = one_line(estimate.reason or "", MAX_REASON)
             rows.append((index, estimate.status, reason, values))
         return {"rows": rows}
 
-    def readings(self, unit: int, cells: Sequence[int]) -> Iterator[tuple[int, Reading]]:
-        """The estimate of each of these cells, by its index."""
+    def alone(self, unit: int, cells: Sequence[int]) -> dict[str, Any]:
+        """The rows of cells whose path, or common fit, has failed."""
+        return self.cases(unit, cells, alone=True)
+
+    def readings(
+        self, unit: int, cells: Sequence[int], *, alone: bool = False
+    ) -> Iterator[tuple[int, Reading]]:
+        """The estimate of each of these cells, by its index; alone: without its path."""
         self.prepare(unit, cells)
         flown, prepared = self._flown[1], self._prepared[1]
         first, problem = self._estimator(cells[0]), prepared.problem
         points = [self._cells[index].backend for index in cells]
-        if len(cells) > 1 and (fractions := points[0].fractions):
+        if (fractions := points[0].fractions) and not alone:
             backend: Any = first.backend
             walked = path(problem, backend, fractions, tolerance=first.tolerance).fits
             fit_of = dict(zip(fractions, walked, strict=True))

@@ -34,7 +34,8 @@ from sparsefit.study.worker import Answer, Crew, NoAnswerError
 
 UNCHANGED = "unchanged flights"  # the condition of a protocol that sets no key of the flights
 BATCH, PROBLEM, FIT = range(3)  # what cells share
-WORK = {"fly": "simulating the flight", "prepare": "building the library", "cases": "fitting"}
+WORK = {"fly": "simulating the flight", "prepare": "building the library",
+        "cases": "fitting", "alone": "fitting"}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,8 +210,7 @@ class FlightExperiment(Plan):
         shared = []
         for cell in self.points:
             setup, backend = cell.setup, cell.backend
-            along = {ALPHA} if backend.fractions else set()
-            others = {k: v for k, v in backend.settings.items() if k not in along}
+            others = dict(backend.settings) | ({ALPHA: 0.0} if backend.fractions else {})
             fit = (backend.name, backend.fractions, canonical_json(others))
             problem = (setup.flights, setup.derivative, setup.library, setup.online)
             keys = ((setup.flights, self._desk_of(cell)), problem, (problem, fit))
@@ -236,8 +236,8 @@ class FlightExperiment(Plan):
     def _flown(self, batch: Batch, crew: Crew) -> Iterator[list[Outcome]]:
         """Simulate, build each library, then fit and read; a failed step ends its own cells only.
 
-        Where a path of several fits fails, each is tried alone. A step that several cells share
-        is tried again after a crash, which may have come from outside.
+        Where a path, or a fit of several cells, fails, each cell is tried alone. A step that
+        several cells share is tried again after a crash, which may have come from outside.
         """
         steps = deque([("fly", list(batch.cells), 2)])
         for group in self._split(batch.cells, PROBLEM):
@@ -248,21 +248,21 @@ class FlightExperiment(Plan):
             verb, cells, tries = steps.popleft()
             if cells[0] in ended:
                 continue
-            fits, cell = 1, self.points[cells[0]]
-            if verb == "cases" and len(cells) > 1:
+            cell, fits = self.points[cells[0]], 1
+            if verb == "cases":
                 fits = max(len(cell.backend.fractions), 1) + len(cells) - 1
             limit = self.definition.run.case_timeout * fits
             content = {"unit": batch.unit, "cells": cells}
             try:
                 worker = crew.worker(self._desk_of(cell))
                 answer = worker.ask(verb, content, limit, work=WORK[verb])
-                if verb == "cases":
+                if verb in ("cases", "alone"):
                     yield self._outcomes(batch.unit, cells, answer)
             except NoAnswerError as failed:
                 if failed.status == "crashed" and tries > 1:
                     steps.appendleft((verb, cells, tries - 1))
-                elif verb == "cases" and len(cells) > 1:
-                    steps.extendleft((verb, [cell], 1) for cell in reversed(cells))
+                elif verb == "cases" and fits > 1:
+                    steps.extendleft(("alone", [cell], 1) for cell in reversed(cells))
                 else:
                     ended |= set(cells)
                     end, truth = (failed.status, failed.reason), self.truth

@@ -16,17 +16,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import one_of, unknown
 from sparsefit.study.columns import PARAMETERS
 from sparsefit.study.table import listed
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Read: TypeAlias = "Callable[[pd.DataFrame], Array]"
 Statistic: TypeAlias = Callable[[Array], Array]  # of (..., units, cases), (...,)
@@ -88,8 +86,6 @@ def gridded(values: Array, places: Sequence[IntArray], shape: Sequence[int]) -> 
 
     NaN where a place has fewer rows.
     """
-    import pandas as pd
-
     within = pd.Series(values).groupby([*places], sort=False).cumcount().to_numpy()
     grid = np.full((*shape, int(within.max(initial=-1)) + 1), np.nan)
     grid[(*places, within)] = values
@@ -148,8 +144,6 @@ def parameters(cases: pd.DataFrame, prefix: str) -> Array:
 
 def texts(cases: pd.DataFrame, name: str) -> pd.Series:
     """Return a column as text; empty text where a value, or the column, is absent."""
-    import pandas as pd
-
     if name not in cases:
         return pd.Series("", index=cases.index)
     return cases[name].astype(object).where(cases[name].notna(), "").astype(str)
@@ -198,9 +192,7 @@ def factors(cases: pd.DataFrame) -> list[str]:
 
 def numeric_factors(cases: pd.DataFrame) -> list[str]:
     """Return the swept factors whose every level is a number."""
-    from pandas.api.types import is_numeric_dtype
-
-    return [name for name in factors(cases) if is_numeric_dtype(cases[name])]
+    return [name for name in factors(cases) if pd.api.types.is_numeric_dtype(cases[name])]
 
 
 @dataclass(frozen=True)

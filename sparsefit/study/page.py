@@ -15,7 +15,9 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module, resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
+
+import pandas as pd
 
 from sparsefit.errors import InputError
 from sparsefit.plot.style import encoded, wrapped
@@ -28,10 +30,6 @@ from sparsefit.study.store import MANIFEST, read_record
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 Files: TypeAlias = dict[str, bytes]  # by name
 Part: TypeAlias = dict[str, Any]  # of a page, a figure or a text to unfold, as in page.html
@@ -132,7 +130,9 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
         return f"No case has a number for the {each.phrase}."
 
     def text(value: float) -> str:
-        return f"{cell_text(value, column)} {each.unit}".rstrip()
+        return (
+            "no answer" if value == math.inf else f"{cell_text(value, column)} {each.unit}".rstrip()
+        )
 
     size, said = {t: -v if each.more else abs(v) for t, v in scores.items()}, list[str]()
     for name in dict.fromkeys((min(size, key=size.__getitem__), max(size, key=size.__getitem__))):

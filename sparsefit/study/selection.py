@@ -11,9 +11,10 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures, trials
@@ -22,9 +23,6 @@ from sparsefit.study.flight_experiment import setting_words
 from sparsefit.study.measures import ROUNDING, factors
 from sparsefit.study.table import listed, significant
 from sparsefit.study.trials import Criterion, Difference, Trials, regimes_of, unit_of
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,14 @@ Source: Dolan and More, Math. Program. 91 (2002) 201-213, for performance profil
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from sparsefit.arrays import Array
 from sparsefit.study.arena import ACCURACIES
 from sparsefit.study.measures import interval, mean
 from sparsefit.study.table import Column, Table, Value, significant
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 LIMIT, SHIFT = 10.0, 1e-3  # [s]; LIMIT unless the frame says
 
@@ -91,8 +88,6 @@ def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
 
     Both are infinite if the accuracy is not reached.
     """
-    import pandas as pd
-
     parts = []
     for level in levels or accuracies(cases):
         for objective, seconds in times_to(cases, level).items():

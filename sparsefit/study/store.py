@@ -28,10 +28,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from zlib import crc32
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from sparsefit.arrays import BoolArray
@@ -49,10 +52,6 @@ from sparsefit.study.columns import (
 from sparsefit.study.plan import Plan, versions
 from sparsefit.study.schema import digest_of
 from sparsefit.whole_file import read_whole, refusing, whole_file, write_whole
-
-if TYPE_CHECKING:
-    import pandas as pd
-    import pyarrow as pa
 
 STORE, CASES, MANIFEST = "cases.sqlite", "cases.parquet", "manifest.json"
 LARGEST = 1 << 24  # bytes of a record that is read
@@ -262,8 +261,6 @@ class Store:
 
         content: of the run, beside the study, checksums, versions and the machine.
         """
-        import pyarrow.parquet as pq
-
         self.sync()
         rows = self.rows()
         starts = range(0, max(len(rows), 1), GROUP)  # one table at least has the columns
@@ -337,9 +334,6 @@ def parquet(path: Path) -> Iterator[Any]:
     Raises:
         InputError: with cause and remedy, also where reading fails inside the block.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     if not is_regular(path):
         raise InputError(f"{path}: no such file: run the study first (sparsefit study run)")
     check_whole(path)
@@ -385,8 +379,6 @@ def read_cases(folder: str | Path) -> pd.DataFrame:
 
 def cases_table(plan: Plan, rows: Sequence[Row]) -> pa.Table:
     """The table of `cases.parquet`: columns of the plan, of the rows, and swept factors."""
-    import pyarrow as pa
-
     places = [plan.place_of[row.case_id] for row in rows]
     kinds, arrays = kinds_of(plan.stored), dict[str, Any]()
     types = {name: pa.type_for_alias(kind.arrow) for name, kind in kinds.items()}

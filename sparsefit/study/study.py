@@ -20,6 +20,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from sparsefit.codec import Place, build, shown
 from sparsefit.errors import InputError
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
@@ -33,8 +35,6 @@ from sparsefit.study.store import Store, cases_table, read_cases
 from sparsefit.study.trials import Latency, measured, read_latencies, write_latencies
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from sparsefit import Estimator
 
 RESULTS, STUDIES = "results", "studies"

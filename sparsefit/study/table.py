@@ -7,15 +7,13 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
+import pandas as pd
 
 from sparsefit.codec import finite_or_none
 from sparsefit.plot.style import wrapped
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Value: TypeAlias = str | float | int | bool | None
 Row: TypeAlias = tuple[Value, ...]
@@ -102,8 +100,6 @@ def cell_text(cell: Value, column: Column) -> str:
 
 def plain(value: object) -> Value:
     """Return a value of a frame as a cell: a NumPy scalar unwrapped, absence as None."""
-    import pandas as pd
-
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or value is pd.NA or value is pd.NaT or value != value:
@@ -154,8 +150,6 @@ class Table:
     @property
     def frame(self) -> pd.DataFrame:
         """All rows as a data frame, numbers unrounded."""
-        import pandas as pd
-
         return pd.DataFrame(self.rows, columns=self.heads)
 
     @property
@@ -197,7 +191,6 @@ class Table:
 
     def to_csv(self) -> str:
         """Return all rows with six digits; texts that a spreadsheet would evaluate are quoted."""
-        import pandas as pd
 
         def cell_of(cell: Value, least: float) -> str:
             if cell is None or cell != cell:
@@ -215,8 +208,6 @@ class Table:
 
     def to_latex(self, label: str = "", most: int = 40) -> str:
         """Return a float with a booktabs table, which is scaled down to the width of a line."""
-        import pandas as pd
-
         names = [(_tex(column.group), _tex(column.heading)) for column in self.columns]
         heads: pd.Index = pd.MultiIndex.from_tuples(names)
         if not any(column.group for column in self.columns):

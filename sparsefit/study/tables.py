@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.study import entries, measures, solver_times
@@ -20,9 +21,6 @@ from sparsefit.study.entries import Entry, Options, level_text
 from sparsefit.study.measures import MEASURES, SYMBOLS, Measure
 from sparsefit.study.table import Column, Table, Value, listed
 from sparsefit.study.trials import unit_of
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 Cells: TypeAlias = dict[Column, Value]
 FAILURES = "In a quantile, a failure counts as worse than any number; in a mean, as 100 %."
@@ -206,8 +204,6 @@ def tables(
     study: Any, cases: pd.DataFrame, names: Sequence[str | Options] = ()
 ) -> dict[str, Table]:
     """Return tables by file name: those named, else those of [outputs], else what fits."""
-    import pandas as pd
-
     outputs, every = study.definition.outputs, dict[str, Table]()
     wanted = names or outputs.tables or entries.defaults(study, cases, "tables")
     for name, entry in entries.asked(study, "table", LAYOUTS, wanted):

@@ -20,9 +20,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 import sparsefit
 from sparsefit.arrays import Array
@@ -36,9 +37,6 @@ from sparsefit.study.store import read_record
 from sparsefit.study.table import significant
 from sparsefit.study.worker import Answer, NoAnswerError, Worker, disturbed, memory_limit
 from sparsefit.whole_file import write_whole
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 LIMITS = {  # the quantity of a constraint, the factor to its unit, and the unit
     "max_failure": ("cases without an answer", 100.0, "%"),
@@ -155,8 +153,6 @@ class Trials:
         Raises:
             InputError: if the candidates were not all tried on the same units and conditions.
         """
-        import pandas as pd
-
         self.cases, self.candidates, self.criterion = cases, candidates, criterion
         candidate = pd.Index(candidates).get_indexer(pd.Index(cases["candidate"]))
         regime = pd.Index(criterion.regimes).get_indexer(pd.Index(regimes_of(cases)))
