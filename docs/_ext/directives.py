@@ -31,8 +31,8 @@ from sphinx.util.docutils import SphinxDirective
 from sparsefit import backends
 from sparsefit.cli import parser
 from sparsefit.study import crossing, entries, figures, keys, measures, schema, tables
+from sparsefit.study.keys import QUANTITIES, FlightWords
 from sparsefit.study.measures import SUMMARY_NAMES
-from sparsefit.study.quantities import QUANTITIES, FlightWords
 
 DOCS = Path(__file__).parents[1]
 RESULTS = DOCS.parent / "results"

@@ -14,7 +14,7 @@ from typing import Any, NoReturn, TypeAlias
 from sparsefit.cli.terminal import Reply
 from sparsefit.codec import Place
 from sparsefit.errors import InputError, one_line, suggestion
-from sparsefit.study.quantities import SYNONYMS
+from sparsefit.study.keys import SYNONYMS
 
 Verbs: TypeAlias = "argparse._SubParsersAction[Parser]"
 Run: TypeAlias = Callable[[argparse.Namespace], Reply]

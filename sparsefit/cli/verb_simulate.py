@@ -12,7 +12,7 @@ from typing import Any
 from sparsefit.cli.options import FORCE, Option, OptionPlace, Verbs, option_of, verb
 from sparsefit.cli.terminal import Reply, check_output
 from sparsefit.errors import integer, one_line
-from sparsefit.study.quantities import QUANTITIES, FlightWords
+from sparsefit.study.keys import QUANTITIES, FlightWords
 from sparsefit.study.schema import described, meanings, sentences
 
 DEFAULTS: dict[str, Any] = {

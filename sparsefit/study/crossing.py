@@ -29,8 +29,7 @@ from sparsefit.onboard import Stream
 from sparsefit.regression.backend import PathBackend
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
-from sparsefit.study.keys import BackendKeys, EstimatorKeys, FlightFile, ProtocolKeys
-from sparsefit.study.quantities import nearest
+from sparsefit.study.keys import BackendKeys, EstimatorKeys, FlightFile, ProtocolKeys, nearest
 from sparsefit.study.schema import Section, canonical_json, distinct, names_of, taken
 from sparsefit.study.worker import in_child
 

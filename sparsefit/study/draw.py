@@ -37,9 +37,8 @@ from sparsefit.flight.vehicle import PointMassVehicle, turning
 from sparsefit.flight.waves import Flow, Turbulence
 from sparsefit.logs import read_flight
 from sparsefit.logs.files import LARGEST
-from sparsefit.study import quantities
-from sparsefit.study.keys import LogRules
-from sparsefit.study.quantities import QUANTITIES, STREAMS, FlightWords, Quantity, nearest
+from sparsefit.study import keys
+from sparsefit.study.keys import QUANTITIES, STREAMS, FlightWords, LogRules, Quantity, nearest
 from sparsefit.study.schema import POSITIVE, Section, items, names_of, taken
 from sparsefit.whole_file import read_whole
 
@@ -271,14 +270,14 @@ class FlightRules:
             name: entry.at(flight, count, stream(seed, flight, STREAMS.index(name) + 1))
             for name, entry in self.entries
         }
-        if values.keys() & set(quantities.FLOW_KEYS):  # in still air there is no third
+        if values.keys() & set(keys.FLOW_KEYS):  # in still air there is no third
             if "mean_velocity" not in values:
                 speed = values["length_scale"] / values["timescale"]
                 values["mean_velocity"] = positive("length_scale/timescale", speed, "m/s")
             elif "length_scale" not in values:
                 size = values["mean_velocity"] * values["timescale"]
                 values["length_scale"] = positive("mean_velocity*timescale", size, "m")
-        field = stream(seed, flight, STREAMS.index(quantities.TURBULENCE_FIELD) + 1)
+        field = stream(seed, flight, STREAMS.index(keys.TURBULENCE_FIELD) + 1)
         return Draw(values, self.words, int(field.generate_state(1)[0]))
 
 
@@ -288,10 +287,10 @@ def read_flight_rules(section: Section, place: Place) -> FlightRules:
         if name not in KEYS:
             raise place.at(name).error(f"unknown{nearest(name, KEYS)}")
     words, given = taken(FlightWords, section, place)
-    calm, flow = words.flow == "none", [name for name in quantities.FLOW_KEYS if name in given]
+    calm, flow = words.flow == "none", [name for name in keys.FLOW_KEYS if name in given]
     if len(flow) != 2 and not calm:
         have = ", ".join(flow) or "none"
-        raise place.error(f"needs exactly two of {', '.join(quantities.FLOW_KEYS)}, has {have}")
+        raise place.error(f"needs exactly two of {', '.join(keys.FLOW_KEYS)}, has {have}")
     needed = {"duration": "every flight", "sample_rate": "every flight"}
     if "drag" not in given:
         needed["response_time"] = "a flight without drag"

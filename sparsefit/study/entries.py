@@ -20,8 +20,8 @@ from sparsefit.arrays import IntArray
 from sparsefit.codec import Place, build
 from sparsefit.errors import InputError, one_of, suggestion, unknown
 from sparsefit.study.crossing import spelled
+from sparsefit.study.keys import QUANTITIES
 from sparsefit.study.measures import Measure, measure, numbers, numeric_factors
-from sparsefit.study.quantities import QUANTITIES
 from sparsefit.study.schema import Range, key
 from sparsefit.study.solver_times import is_race
 from sparsefit.study.table import Value, plain

@@ -12,7 +12,7 @@ from sparsefit.flight.flow import CellularFlow
 from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.study.draw import Draw, stream
 from sparsefit.study.flight_desk import FlightDesk, fly
-from sparsefit.study.quantities import FlightWords
+from sparsefit.study.keys import FlightWords
 from sparsefit.study.study import Study
 from tests.problems import VEHICLE
 from tests.study.small_study import small_study
