@@ -30,7 +30,7 @@ from sphinx.util.docutils import SphinxDirective
 
 from sparsefit import backends
 from sparsefit.cli import parser
-from sparsefit.study import crossing, entries, figures, keys, measures, schema, tables
+from sparsefit.study import crossing, figures, keys, measures, schema, tables
 from sparsefit.study.keys import QUANTITIES, FlightWords
 from sparsefit.study.measures import SUMMARY_NAMES
 
@@ -61,7 +61,7 @@ RECORDS = {
 
 def meanings(section: str) -> dict[str, str]:
     """The description of each key of a section, with what its records say."""
-    means = schema.meanings()[section]
+    means = schema.shipped("keys.toml")[section]
     words = dict.fromkeys(crossing.SECTION_KEYS.get(section, ()), "")
     for kind in RECORDS.get(section, ()):
         words |= schema.sentences(kind, section)
@@ -148,7 +148,11 @@ def study_names(kind: str, options: Mapping[str, str]) -> list[str]:
                 for name, each in measures.MEASURES.items()]  # fmt: skip
         return table(("measure", "what it is", "unit", "of"), rows)
     layouts = {"tables": tables.LAYOUTS, "figures": figures.LAYOUTS}
-    names = {**entries.shipped(kind), **layouts[kind]} if kind in layouts else SUMMARY_NAMES
+    names = (
+        {**schema.shipped(tables.OUTPUTS)[kind], **layouts[kind]}
+        if kind in layouts
+        else SUMMARY_NAMES
+    )
     return [", ".join(f"`{name}`" for name in names) + "."]
 
 

@@ -13,7 +13,7 @@ from sparsefit.cli.options import FORCE, Option, OptionPlace, Verbs, option_of, 
 from sparsefit.cli.terminal import Reply, check_output
 from sparsefit.errors import integer, one_line
 from sparsefit.study.keys import QUANTITIES, FlightWords
-from sparsefit.study.schema import described, meanings, sentences
+from sparsefit.study.schema import described, sentences, shipped
 
 DEFAULTS: dict[str, Any] = {
     "response_time": 0.5, "thrust_acceleration": [5.0, 3.0], "duration": 10.0, "sample_rate": 100.0
@@ -25,7 +25,7 @@ def add(verbs: Verbs) -> None:
     groups: dict[str, list[Option]] = {
         title: [] for title in ("flow", "vehicle", "flight", "faults of the log")
     }
-    means = meanings()["flights"]
+    means = shipped("keys.toml")["flights"]
     for name, row in QUANTITIES.items():
         of_vehicle = any(word in name for word in ("response", "thrust", "drag"))
         title = "vehicle" if of_vehicle else "flight"

@@ -15,9 +15,9 @@ import pandas as pd
 
 from sparsefit.errors import InputError
 from sparsefit.study.columns import PARAMETERS
-from sparsefit.study.entries import factor_words, level_text
 from sparsefit.study.measures import factors, numbers
 from sparsefit.study.table import Table, significant
+from sparsefit.study.tables import factor_words, level_text
 
 TOLERANCE = 1e-6  # relative change below which estimates are equal
 NAMES = (  # of unit and candidate, beside the levels of factors

@@ -108,7 +108,7 @@ def _read_arrays(path: Path) -> Data:
         if unpacked > MOST_BYTES:
             raise InputError(f"{path}: unpacks to {unpacked} bytes: take fewer samples or columns")
         with np.load(file, allow_pickle=False) as arrays:
-            content = {name: np.asarray(arrays[name]) for name in arrays}
+            content = {name: arrays[name] for name in arrays}
     for name in ("theta", "target"):
         if name not in content or not content[name].ndim:
             there = ", ".join(sorted(content)[:8]) or "nothing"

@@ -20,11 +20,11 @@ from sparsefit.arrays import Array, IntArray
 from sparsefit.errors import InputError
 from sparsefit.plot import style
 from sparsefit.plot.style import COLOURS, GREY, MARKERS, STYLES, with_unit, wrapped
-from sparsefit.study import entries, measures, solver_times
+from sparsefit.study import measures, solver_times, tables
 from sparsefit.study.columns import PARAMETERS
-from sparsefit.study.entries import Entry, Options, factor_words, grouped, level_text, unit_of
 from sparsefit.study.measures import SYMBOLS, Measure, answered, measure
 from sparsefit.study.table import listed, sentence
+from sparsefit.study.tables import Entry, Options, factor_words, grouped, level_text, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -228,7 +228,7 @@ def _grid(entry: Entry, cases: pd.DataFrame) -> list[list[tuple[str, str, IntArr
     The rows of panels are the groups of `rows`, at most six, the columns the levels of `columns`.
     """
     names = [entry.lines, *entry.rows, *filter(None, [entry.columns])]
-    entries.check_columns(cases, names, "the figure")
+    tables.check_columns(cases, names, "the figure")
 
     def words(factor: str, level: Any) -> str:
         text = level_text(level)
@@ -258,13 +258,13 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     axes_of = [entry.along] if entry.along else measures.numeric_factors(cases)
     if not axes_of:
         raise InputError("along = …: no number is swept; name a column, such as condition")
-    entries.check_columns(cases, axes_of, "the figure")
+    tables.check_columns(cases, axes_of, "the figure")
     if entry.along == "condition" and cases["condition"].nunique() < 2:
         entry = replace(entry, lines="condition")
     seen = np.any([~np.isnan(each.values(cases)) for each in entry.measures], axis=0)
     whole, cases, grid = cases, cases[seen], list[list[Panel]]()
     for along in axes_of:
-        level_of = entries.levels_of(whole, along)[seen].cat.remove_unused_categories()
+        level_of = tables.levels_of(whole, along)[seen].cat.remove_unused_categories()
         codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
         named = () if pd.api.types.is_numeric_dtype(cases[along]) else tuple(levels)
         x = np.array(range(len(levels)) if named else levels, dtype=float)
@@ -423,8 +423,8 @@ def figures(
     from matplotlib.figure import Figure
 
     every, names = dict[str, Picture](), names or study.definition.outputs.figures
-    wanted = names or entries.defaults(study, cases, "figures")
-    for name, entry in entries.asked(study, "figure", LAYOUTS, wanted):
+    wanted = names or tables.defaults(study, cases, "figures")
+    for name, entry in tables.asked(study, "figure", LAYOUTS, wanted):
         if not isinstance(entry, Entry):
             made: Figure = style.styled(entry, formulas=True)(cases, Figure)
             every[name] = Picture(made, sentence(name.replace("_", " ")))

@@ -23,11 +23,11 @@ from sparsefit.errors import InputError
 from sparsefit.plot.style import encoded, wrapped
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
-from sparsefit.study.entries import asked, grouped, is_predicted, script_of
 from sparsefit.study.figures import Picture
 from sparsefit.study.measures import in_flow, measure, stated
 from sparsefit.study.store import MANIFEST, read_record
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
+from sparsefit.study.tables import asked, grouped, is_predicted, script_of
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files
 

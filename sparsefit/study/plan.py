@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 Columns: TypeAlias = Mapping[str, Sequence[Any]]
 STUDY = (  # files of `study/` that no number of a case depends on
-    *("__init__", "compare", "entries", "evidence", "figures", "measures", "page"),
+    *("__init__", "compare", "evidence", "figures", "measures", "page"),
     *("runner", "selection", "solver_times", "store", "study", "table", "tables", "trials"),
 )
 # No number of a case depends on these: they run, store and show.

@@ -18,7 +18,7 @@ from __future__ import annotations
 import fcntl
 import os
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, nullcontext, suppress
@@ -26,7 +26,7 @@ from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from threading import Event, Lock
+from threading import Event
 from typing import Any, NamedTuple, TypeAlias
 
 from sparsefit.errors import InputError, described, is_integer, optional
@@ -168,16 +168,13 @@ def outcomes(
 
     Those that arrive together are a list; an empty one follows each `TICK` without any.
     """
-    arriving, stop, lock = SimpleQueue[list[Outcome] | Future[None]](), Event(), Lock()
-    memory = memory_limit(plan.definition.run.max_memory, processes)
+    arriving, stop = SimpleQueue[list[Outcome] | Future[None]](), Event()
+    memory, waiting = memory_limit(plan.definition.run.max_memory, processes), deque(batches)
 
     def taken() -> Iterator[Batch]:
-        while True:
-            with lock:
-                batch = next(batches, None)
-            if batch is None:
-                return
-            yield batch
+        with suppress(IndexError):  # empty
+            while True:
+                yield waiting.popleft()
 
     def work() -> None:
         with scratch() as home, closing(Crew(plan.desk, home, memory, stop)) as crew:

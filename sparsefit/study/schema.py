@@ -165,11 +165,9 @@ def key(default: Any = MISSING, range: Range = ANY, unit: str = "") -> Any:
 
 
 @cache
-def meanings() -> dict[str, dict[str, str]]:
-    """Section -> key -> what it means, from `keys.toml`."""
-    text = (resources.files(__package__) / "keys.toml").read_text(encoding="utf-8")
-    sections: dict[str, dict[str, str]] = tomllib.loads(text)
-    return sections
+def shipped(file: str) -> dict[str, dict[str, Any]]:
+    """The tables of a TOML file of this package; of `keys.toml`, section -> key -> its meaning."""
+    return tomllib.loads((resources.files(__package__) / file).read_text(encoding="utf-8"))
 
 
 def described(meaning: str, unit: str, range: Range, default: Any = MISSING) -> str:
@@ -182,7 +180,8 @@ def described(meaning: str, unit: str, range: Range, default: Any = MISSING) -> 
 
 def sentences(kind: type[Any], section: str) -> dict[str, str]:
     """Key -> its words, of every field of a record of a section or, in common, of "study"."""
-    words, means = dict[str, str](), meanings()["study"] | meanings()[section]
+    words, every = dict[str, str](), shipped("keys.toml")
+    means = every["study"] | every[section]
     for item in fields(kind):
         unit, range = item.metadata.get("unit", ""), item.metadata.get("range", ANY)
         needed = " Needed." if item.default is item.default_factory is MISSING else ""

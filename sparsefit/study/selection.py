@@ -18,10 +18,10 @@ import pandas as pd
 
 from sparsefit.errors import InputError, one_of, told_with
 from sparsefit.study import measures, trials
-from sparsefit.study.entries import factor_words, level_text
 from sparsefit.study.flight_experiment import setting_words
 from sparsefit.study.measures import ROUNDING, factors
 from sparsefit.study.table import listed, significant
+from sparsefit.study.tables import factor_words, level_text
 from sparsefit.study.trials import Criterion, Difference, Trials, regimes_of, unit_of
 
 

@@ -192,19 +192,16 @@ class Table:
     def to_csv(self) -> str:
         """Return all rows with six digits; texts that a spreadsheet would evaluate are quoted."""
 
-        def cell_of(cell: Value, least: float) -> str:
-            if cell is None or cell != cell:
-                return ""
-            if isinstance(cell, float):
+        def cell_of(cell: Value, least: float) -> Value:
+            if isinstance(cell, float) and cell == cell:
                 return f"{round(cell, round(-math.log10(least))) + 0.0 if least else cell:.6g}"
             runs = isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r"))
-            return f"'{cell}" if runs else str(cell)
+            return f"'{cell}" if runs else cell  # absence and NaN: empty
 
-        rows = [
-            [cell_of(cell, column.least) for cell, column in zip(row, self.columns, strict=True)]
-            for row in self.rows
-        ]
-        return pd.DataFrame(rows, columns=self.heads).to_csv(index=False, lineterminator="\n")
+        least = [column.least for column in self.columns]
+        rows = [list(map(cell_of, row, least)) for row in self.rows]
+        frame = pd.DataFrame(rows, columns=self.heads, dtype=object)
+        return frame.to_csv(index=False, lineterminator="\n")
 
     def to_latex(self, label: str = "", most: int = 40) -> str:
         """Return a float with a booktabs table, which is scaled down to the width of a line."""

@@ -11,7 +11,7 @@ import pytest
 import sparsefit as sf
 from sparsefit.errors import InputError
 from sparsefit.plot.style import COLOURS, encoded, labels
-from sparsefit.study import entries, figures, measures, page, solver_times, tables
+from sparsefit.study import figures, measures, page, solver_times, tables
 from sparsefit.study.columns import PARAMETERS, STATUSES
 from sparsefit.study.keys import Reference
 from sparsefit.study.table import Column, Table, cell_text, significant
@@ -354,7 +354,7 @@ class TestSolvers:
 def test_the_script_of_a_shipped_study_makes_its_table(path):
     shipped = sf.Study.from_file(path)
     named = shipped.definition.outputs.tables + shipped.definition.outputs.figures
-    names = set(entries.functions_of(shipped)) & {own for own in named if isinstance(own, str)}
+    names = set(tables.functions_of(shipped)) & {own for own in named if isinstance(own, str)}
     assert names
     for name in names:
         if name in shipped.definition.outputs.tables:
@@ -385,6 +385,6 @@ def test_errors_of_the_shape_of_cells_by_hand():
         "est_length_scale_y": 4.0, "true_drift_x": 0.3, "true_drift_y": 0.4,
         "est_drift_x": math.nan, "est_drift_y": math.nan,
     }))  # fmt: skip
-    geometry = entries.functions_of(sf.Study.from_file(STUDIES / "waves.toml"))["geometry"]
+    geometry = tables.functions_of(sf.Study.from_file(STUDIES / "waves.toml"))["geometry"]
     # Cells repeat after a quarter turn; what was found steady lacks all of 0.5 of 10 m/s.
     assert geometry(cases).iloc[0].tolist() == pytest.approx([1, 3.0, 10.0, 5.0])
