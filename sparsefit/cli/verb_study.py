@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from threading import Thread
 from typing import TYPE_CHECKING
 
 from sparsefit.cli import terminal
@@ -125,7 +124,6 @@ def run_study(args: argparse.Namespace) -> Reply:
     args.stopped = f"stopped; run the same command {again}"
     study, other = _checked(args), read_cases(args.against) if args.against else None
     names = ("processes", "fresh", "retry_failed", "stale", "only", "scheduler")
-    Thread(target=page.load, daemon=True).start()  # while workers compute
     with terminal.Progress() as progress:
         summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
     _warn(summary.dropped, "no longer planned by the study, and left out")

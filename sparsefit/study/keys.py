@@ -117,12 +117,6 @@ class SelectionRule:
             if getattr(self, name) and not self.latency_flights:
                 raise InputError(f"latency_flights = 0 measures nothing, and {name} needs it")
 
-    @property
-    def measure(self) -> tuple[str, str]:
-        """The summary and the measure that the criterion names; an empty summary is the mean."""
-        summary, _, name = self.criterion.rpartition(" ")
-        return summary, name
-
     def changed(self, place: Place | None = None, /, **options: object) -> SelectionRule:
         """The rule with these options in place of its own; InputError names one that is wrong."""
         values = {**vars(self), **options}

@@ -13,7 +13,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import import_module, resources
+from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -89,13 +89,6 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Part | str:
     if turned:
         part["linear"] = inline(encoded(figure, ".svg", f"{name}-linear"))
     return part
-
-
-def load() -> None:
-    """Import the modules that only a report needs, which takes about a second."""
-    backend = "matplotlib.backends.backend_svg"
-    for name in ("jinja2", "matplotlib.figure", backend, "pandas.io.formats.style"):
-        import_module(name)
 
 
 def check_outputs(study: Any) -> None:

@@ -199,10 +199,8 @@ class ProblemExperiment(Plan):
 
     @cached_property
     def _objectives(self) -> dict[str, list[int]]:
-        cells: dict[str, list[int]] = {}
-        for cell, objective in enumerate(self.cells["objective"]):
-            cells.setdefault(objective, []).append(cell)
-        return cells
+        every = self.cells["objective"]
+        return {name: [at for at, own in enumerate(every) if own == name] for name in every}
 
     @cached_property
     def _data(self) -> list[data_sets.Data]:

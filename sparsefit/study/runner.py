@@ -116,11 +116,7 @@ def run(
             plan.check()  # before rows are discarded
             discard(folder, CASES, MANIFEST, *PAGES)
         store = Store.read(folder, plan)
-        wanted = ~store.done
-        if retry_failed:
-            wanted |= store.failed
-        if stale:
-            wanted |= store.stale
+        wanted = ~store.done | (store.failed & retry_failed) | (store.stale & stale)
         wanted = plan.whole(wanted & named, store.version)
         if store.finished and not wanted.any():
             return RunSummary.of(store, resumed=plan.size)

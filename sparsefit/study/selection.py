@@ -190,7 +190,7 @@ def check_rule(study: Any) -> None:
 def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     """Return the measure of a rule over the regimes of the cases."""
     regimes = tuple(regimes_of(cases).unique())
-    summary, name = rule.measure
+    summary, _, name = rule.criterion.rpartition(" ")
     with told_with("[select] over"):
         one_of("regime", rule.over, ("average", "worst", *regimes))
     kind = "problems" if "objective" in cases else "flights"

@@ -26,7 +26,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
@@ -165,13 +164,8 @@ class Store:
             store.sync()
             try:
                 yield store
-                store.sync()
-            except BaseException:
-                with suppress(sqlite3.Error, InputError):
-                    store.sync()
-                raise
             finally:
-                store.base = None
+                store.sync()
 
     @property
     def finished(self) -> bool:
@@ -263,24 +257,21 @@ class Store:
         """
         self.sync()
         rows = self.rows()
-        starts = range(0, max(len(rows), 1), GROUP)  # one table at least has the columns
-        tables = (cases_table(self.plan, rows[start : start + GROUP]) for start in starts)
-        first = next(tables)
+        starts = range(0, max(len(rows), 1), GROUP)  # one part at least has the columns
+        parts = (cases_table(self.plan, rows[start : start + GROUP]) for start in starts)
+        table = pa.concat_tables(parts)
         dense = [column.name for column in self.plan.stored if column.kind.dense]
-        with (
-            whole_file(self.folder / CASES) as file,
-            pq.ParquetWriter(
+        with whole_file(self.folder / CASES) as file:
+            pq.write_table(
+                table,
                 file,
-                first.schema,
+                GROUP,
                 compression="zstd",
                 compression_level=9,
-                use_dictionary=[name for name in first.column_names if name not in dense],
+                use_dictionary=[name for name in table.column_names if name not in dense],
                 column_encoding=dict.fromkeys(dense, "BYTE_STREAM_SPLIT"),
                 write_page_checksum=True,
-            ) as writer,
-        ):
-            for table in chain([first], tables):
-                writer.write_table(table)
+            )
         plan = self.plan
         manifest = {
             "study": plan.definition.name,

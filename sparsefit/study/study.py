@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +23,7 @@ import pandas as pd
 
 from sparsefit.codec import Place, build, shown
 from sparsefit.errors import InputError
+from sparsefit.study import figures, selection, tables
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.keys import FlightFile, Heading, Outputs, ProblemFile
@@ -36,8 +36,6 @@ from sparsefit.study.trials import Latency, measured, read_latencies, write_late
 
 if TYPE_CHECKING:
     from sparsefit import Estimator
-
-RESULTS, STUDIES = "results", "studies"
 
 
 def plan_of(document: Section, path: str) -> Plan:
@@ -87,7 +85,7 @@ class Study:
             InputError: with the file, the section and the key (or the line) of the first fault.
         """
         beside = Path(path).parent
-        if beside.resolve().name == STUDIES:
+        if beside.resolve().name == "studies":
             beside = Path(os.path.normpath(beside / ".."))
         return cls._of(plan_of(read_toml(path), str(path)), beside, results)
 
@@ -103,7 +101,7 @@ class Study:
 
     @classmethod
     def _of(cls, plan: Plan, beside: str | Path, results: str | Path | None) -> Study:
-        home = Path(beside) / RESULTS if results is None else Path(results)
+        home = Path(beside) / "results" if results is None else Path(results)
         return cls(plan, home / plan.definition.name)
 
     def __repr__(self) -> str:
@@ -331,7 +329,7 @@ class Study:
         Raises:
             InputError: if the study is unfinished or has no split, or an option is unknown.
         """
-        return import_module("sparsefit.study.selection").select(self, **rule)
+        return selection.select(self, **rule)
 
     def table(self, entry: str | Mapping[str, object]) -> Any:
         """The `Table` of the cases that a name, or options, of [outputs] ask for.
@@ -339,8 +337,7 @@ class Study:
         Raises:
             InputError: for a name, an option or a measure that is unknown, with the nearest.
         """
-        tables = import_module("sparsefit.study.tables").tables
-        (made,) = tables(self, self.cases, [entry]).values()
+        (made,) = tables.tables(self, self.cases, [entry]).values()
         return made
 
     def figure(self, entry: str | Mapping[str, object]) -> Any:
@@ -349,8 +346,7 @@ class Study:
         Raises:
             InputError: for a name, an option or a measure that is unknown, or if nothing is drawn.
         """
-        figures = import_module("sparsefit.study.figures").figures
-        (picture,) = figures(self, self.cases, [entry]).values()
+        (picture,) = figures.figures(self, self.cases, [entry]).values()
         if picture.figure is None:
             raise InputError(f"{self.name}: {picture.caption}")
         return picture.figure
