@@ -348,15 +348,11 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
 
 def best_titles(cases: pd.DataFrame) -> list[str]:
     """Return the title with the least median of the largest error in each reading, at most four."""
-    each, best = measure("largest-error"), dict[str, None]()
-    values = each.values(cases)
-    for _, places in grouped(cases, ["reading" if "reading" in cases else "protocol"]):
-        scores = {
-            str(title): each.summary_of(values[places[here]])
-            for (title,), here in grouped(cases.iloc[places], ["title"])
-        }
-        best[min(scores, key=lambda name: (math.isnan(scores[name]), scores[name]))] = None
-    return list(best)[:4]
+    each, reading = measure("largest-error"), "reading" if "reading" in cases else "protocol"
+    errors = pd.Series(each.values(cases), cases.index)
+    scores = errors.groupby([cases[reading], cases["title"]], sort=False).agg(each.summary_of)
+    best = scores.fillna(math.inf).groupby(level=0, sort=False).idxmin()
+    return list(dict.fromkeys(str(title) for _, title in best))[:4]
 
 
 def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:

@@ -249,7 +249,7 @@ class Measure:
 
     def summary_of(self, values: Array) -> float:
         """Return the summary of the values (n,) of a group; NaN where none has the number."""
-        return math.nan if np.isnan(values).all() else float(self.reduce(values))
+        return math.nan if np.isnan(values).all() else float(self.reduce(np.asarray(values)))
 
 
 def measure(words: str) -> Measure:

@@ -27,7 +27,7 @@ from sparsefit.study.figures import Picture
 from sparsefit.study.measures import in_flow, measure, stated
 from sparsefit.study.store import MANIFEST, read_record
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
-from sparsefit.study.tables import asked, grouped, is_predicted, script_of
+from sparsefit.study.tables import asked, is_predicted, script_of
 from sparsefit.study.trials import unit_of
 from sparsefit.whole_file import write_files
 
@@ -117,9 +117,9 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
         return solver_times.headline(cases)
     each = measure(name)
     values, column = each.values(cases), tables.column_of(each)
-    every = {str(title): each.summary_of(values[at]) for (title,), at in grouped(cases, ["title"])}
-    scores = {title: value for title, value in every.items() if not math.isnan(value)}
-    if not scores:
+    groups = pd.Series(values).groupby(cases["title"].to_numpy(), sort=False)
+    scores = groups.agg(each.summary_of).dropna()
+    if scores.empty:
         return f"No case has a number for the {each.phrase}."
 
     def text(value: float) -> str:
@@ -127,10 +127,10 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
             "no answer" if value == math.inf else f"{cell_text(value, column)} {each.unit}".rstrip()
         )
 
-    size, said = {t: -v if each.more else abs(v) for t, v in scores.items()}, list[str]()
-    for name in dict.fromkeys((min(size, key=size.__getitem__), max(size, key=size.__getitem__))):
-        others = [significant(value) for value in scores.values()].count(significant(scores[name]))
-        sharers = f" and {others - 1} more" if others > 1 else ""
+    size, said = -scores if each.more else scores.abs(), list[str]()
+    for name in map(str, dict.fromkeys((size.idxmin(), size.idxmax()))):
+        others = int((scores.map(significant) == significant(scores[name])).sum()) - 1
+        sharers = f" and {others} more" if others else ""
         said.append(f"{text(scores[name])} ({name}{sharers})")
     count, several = cases["flight"].nunique(), cases["condition"].nunique()
     where = f"over {count} {unit_of(cases)}{'s' * (count > 1)}"

@@ -76,11 +76,9 @@ def is_race(cases: pd.DataFrame) -> bool:
 
 def places(cases: pd.DataFrame) -> dict[str, int]:
     """Return the best rank of every solver over the objectives, 0 for the fastest."""
-    best: dict[str, int] = {}
-    for seconds in times_to(cases, accuracies(cases)[-1]).values():
-        for place, name in enumerate(map(str, seconds)):
-            best[name] = min(place, best.get(name, place))
-    return best
+    every = times_to(cases, accuracies(cases)[-1]).values()
+    ranks = pd.concat([pd.Series(range(each.shape[1]), each.columns) for each in every])
+    return {str(name): int(rank) for name, rank in ranks.groupby(level=0).min().items()}
 
 
 def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
