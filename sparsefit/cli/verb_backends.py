@@ -67,8 +67,6 @@ def _record(name: str) -> dict[str, Any]:
         settings = backends.settings_of(backends.get(name))
     except MissingExtra as error:
         return {"name": name, "missing": str(error)}
-    except (InputError, TypeError) as error:  # a plug-in whose settings have no defaults
-        return {"name": name, "error": one_line(str(error))}
     summary = " ".join((loaded.__doc__ or "").strip().split("\n\n")[0].split())
     kind = loaded.certificate_kind
     return {"name": name, "summary": summary, "certificate": kind, "settings": settings}

@@ -211,11 +211,9 @@ class Generator:
 
 
 @dataclass(frozen=True)
-class ContenderKeys:
+class ContenderKeys(BackendKeys):
     """The keys of [[backends]] in a study of problems, beside settings."""
 
-    name: str
-    label: str = ""
     solver: tuple[str, ...] = key(("",))
     tolerances: tuple[float, ...] = key((), INSIDE)
     certified: bool = False
@@ -255,6 +253,10 @@ class StudyFile(Heading):
 
     run: RunRule = key(RunRule)
     outputs: Outputs = key(Outputs)
+    flights: Section = key(dict)
+    derivative: Section = key(dict)
+    library: Section = key(dict)
+    backends: tuple[Section, ...] = key()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -262,12 +264,9 @@ class FlightFile(StudyFile):
     """A study of flights."""
 
     flights: Section
-    derivative: Section = key(dict)
-    library: Section = key(dict)
     readout: Section = key(dict)
     online: Section = key(dict)
     estimator: Section = key(dict)
-    backends: tuple[Section, ...] = key()
     protocols: tuple[Section, ...] = key(())
     sweep: Section = key(dict)
     split: Split | None = None
@@ -282,11 +281,7 @@ class ProblemFile(StudyFile):
     path: PathRule | None = None
     clock: Clock = key(Clock)
     problems: tuple[Section, ...] = key()
-    backends: tuple[Section, ...] = key()
     solvers: tuple[Section, ...] = key(())
-    flights: Section = key(dict)
-    derivative: Section = key(dict)
-    library: Section = key(dict)
     select: ProblemSelection = key(ProblemSelection)
 
 
