@@ -149,7 +149,7 @@ def study_names(kind: str, options: Mapping[str, str]) -> list[str]:
         return table(("measure", "what it is", "unit", "of"), rows)
     layouts = {"tables": tables.LAYOUTS, "figures": figures.LAYOUTS}
     names = (
-        {**schema.shipped(tables.OUTPUTS)[kind], **layouts[kind]}
+        {**schema.shipped("outputs.toml")[kind], **layouts[kind]}
         if kind in layouts
         else SUMMARY_NAMES
     )

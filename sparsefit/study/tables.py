@@ -31,7 +31,6 @@ from sparsefit.study.schema import Range, key, shipped
 from sparsefit.study.table import Column, Table, Value, listed, plain
 
 Options: TypeAlias = Mapping[str, object]
-OUTPUTS = "outputs.toml"  # has the shipped tables and figures, and the defaults
 MEASURED = ("settings", "protocols", "lines", "ecdf")  # layouts of any measures
 OF = {  # other layouts: the kind of study
     **dict.fromkeys(("coverage", "scatter"), "flights"),
@@ -137,7 +136,9 @@ def defaults(study: Any, cases: pd.DataFrame, kind: str) -> list[str]:
     else:
         groups = ["sweep" if measures.numeric_factors(cases) else "flights"]
     return [
-        name for group in groups or ["race"] for name in shipped(OUTPUTS)["defaults"][group][kind]
+        name
+        for group in groups or ["race"]
+        for name in shipped("outputs.toml")["defaults"][group][kind]
     ]
 
 
@@ -159,7 +160,7 @@ def asked(
         InputError: for a name, a key, a layout or a measure that is unknown, with the nearest.
     """
     functions, own = functions_of(study), getattr(study.definition.outputs, f"{kind}s")
-    named = shipped(OUTPUTS)[f"{kind}s"]
+    named = shipped("outputs.toml")[f"{kind}s"]
     declared = {each["name"]: each for each in own if not isinstance(each, str) and "name" in each}
     for entry in names or own:
         given = declared.get(entry, {"name": entry}) if isinstance(entry, str) else entry
