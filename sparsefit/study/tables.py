@@ -135,11 +135,8 @@ def defaults(study: Any, cases: pd.DataFrame, kind: str) -> list[str]:
         groups = ["single flight"]
     else:
         groups = ["sweep" if measures.numeric_factors(cases) else "flights"]
-    return [
-        name
-        for group in groups or ["race"]
-        for name in shipped("outputs.toml")["defaults"][group][kind]
-    ]
+    entries = shipped("outputs.toml")["defaults"]
+    return [name for group in groups or ["race"] for name in entries[group][kind]]
 
 
 def asked(
