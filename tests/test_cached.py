@@ -1,6 +1,7 @@
 """The property that is worked out once, and never under a lock that other instances wait for."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 from sparsefit.cached import cached_property
 
@@ -27,9 +28,5 @@ def test_it_is_worked_out_once_and_kept_in_the_instance():
 def test_two_instances_are_worked_out_at_the_same_time():
     meeting = threading.Barrier(2)
     both = [Slow(meeting), Slow(meeting)]
-    threads = [threading.Thread(target=lambda each=each: each.value) for each in both]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert [each.__dict__.get("value") for each in both] == [1, 1]
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(lambda each: each.value, both)) == [1, 1]
