@@ -217,7 +217,7 @@ def test_positions_far_away_are_no_readings():
     ("kind", "seed", "precision"),
     [
         (0, 95002, 0.15),  # four waves are likelier in white noise
-        (4, 95003, 0.03),  # gusts that come and go: with one level its half-width is 12 %
+        pytest.param(4, 95003, 0.03, marks=pytest.mark.slow),  # gusts that come and go: else 12 %
     ],
 )
 def test_gusts_leave_the_cells_what_they_are(kind, seed, precision):

@@ -259,8 +259,8 @@ def test_a_swell_of_several_flights_is_that_of_the_flight_where_it_is_largest():
     assert "by 20 % rms" in suspect.words
 
 
-@pytest.mark.parametrize(("kind", "off"), [(0, 1.0), (2, 1.2), *(
-    pytest.param(*own, marks=pytest.mark.slow) for own in ((1, 1.0), (3, 1.2)))])  # fmt: skip
+@pytest.mark.parametrize(("kind", "off"), [(0, 1.0), *(pytest.param(*own, marks=pytest.mark.slow)
+                         for own in ((1, 1.0), (2, 1.2), (3, 1.2)))])  # fmt: skip
 def test_a_response_time_is_told_from_gusts_that_it_filters(kind, off):
     """A score at a constant variance of the innovations takes a fifth off a right one."""
     world = replace(GROUPS["turbulence10"][kind], body={"tau": off})
