@@ -123,9 +123,8 @@ def headline(study: Any, cases: pd.DataFrame) -> str:
         return f"No case has a number for the {each.phrase}."
 
     def text(value: float) -> str:
-        return (
-            "no answer" if value == math.inf else f"{cell_text(value, column)} {each.unit}".rstrip()
-        )
+        number = f"{cell_text(value, column)} {each.unit}".rstrip()
+        return "no answer" if value == math.inf else number
 
     size, said = -scores if each.more else scores.abs(), list[str]()
     for name in map(str, dict.fromkeys((size.idxmin(), size.idxmax()))):

@@ -289,10 +289,7 @@ def merge(plan: Plan, folder: Path, parts: Sequence[str | Path]) -> list[MergedP
             check_whole(part / CASES, strict=True)
         elif not (part / STORE).is_file():
             raise InputError(f"{part}: holds no rows of {name}: give a results folder of the study")
-        try:
-            stored[part] = Store.read(part, plan).rows()
-        except InputError as error:  # whose remedies are those of a folder of one's own
-            raise InputError(f"{str(error).rpartition(': ')[0]}: leave this part out") from None
+        stored[part] = Store.read(part, plan, "leave this part out").rows()
     with locked(folder):
         rows = {row.case_id: (folder, row) for row in Store.read(folder, plan).rows()}
         for part, theirs in stored.items():

@@ -61,6 +61,7 @@ REMEDIES = {  # by what SQLite says
     **dict.fromkeys(("readonly", "unable to open"), "check the folder's permissions"),
     "locked": "another run writes to it: wait for it",
 }
+FRESH = "study run --fresh starts over, or rename this study"
 BATCH, GROUP = 2048, 16_384  # rows that are read, and written, at once
 
 
@@ -102,9 +103,9 @@ class Store:
     """The rows of a results folder, by the cases of a plan.
 
     same: whether the manifest has the hash of this study; status and version: of each case (u, c),
-    empty without a row; exported: whether they were read from `cases.parquet`; damaged: the number
-    of rows with a wrong checksum or status; unplanned: of rows of other cases; pending: rows to be
-    written at the next `sync`.
+    empty without a row; remedy: for a damaged file; exported: whether they were read from
+    `cases.parquet`; damaged: the number of rows with a wrong checksum or status; unplanned: of rows
+    of other cases; pending: rows to be written at the next `sync`.
     """
 
     folder: Path
@@ -112,6 +113,7 @@ class Store:
     same: bool
     status: NDArray[Any]
     version: NDArray[Any]
+    remedy: str = FRESH
     exported: bool = False
     damaged: int = 0
     unplanned: int = 0
@@ -120,8 +122,8 @@ class Store:
     synced: float = field(default_factory=time.monotonic)
 
     @classmethod
-    def read(cls, folder: Path, plan: Plan) -> Store:
-        """The rows of the folder, read-only.
+    def read(cls, folder: Path, plan: Plan, remedy: str = FRESH) -> Store:
+        """The rows of the folder, read-only; remedy: for rows that are no run of this study.
 
         Raises:
             InputError: where a file is damaged or no regular one, has two rows of a case, or
@@ -130,7 +132,7 @@ class Store:
         made = read_record(folder / MANIFEST) or {}
         same = made.get("study_hash") == plan.hash
         status, version = np.full((2, *plan.shape), "", object)
-        store = cls(folder, plan, same, status, version)
+        store = cls(folder, plan, same, status, version, remedy)
         for row in store._every(brief=True):
             values = row.values if row else {}
             place = plan.place_of.get(row.case_id) if row else None
@@ -139,17 +141,14 @@ class Store:
             elif place is None:
                 store.unplanned += 1
             elif store.status.flat[place]:  # of an export; the key of a base is the id
-                words = "take it from where it came, or leave it out"
-                raise InputError(f"{folder}: has two rows of case {row.case_id}: {words}")
+                raise InputError(f"{folder}: has two rows of case {row.case_id}: {remedy}")
             else:
                 store.status.flat[place] = values["status"]
                 store.version.flat[place] = str(values.get("version", "unknown"))
         if store.unplanned and not store.done.any():
             which = f" (hash {str(made['study_hash'])[:12]})" if made and not same else ""
-            raise InputError(
-                f"{folder} was made by a different study{which}, and no case of it is of this one: "
-                "study run --fresh starts over, or rename this study"
-            )
+            words = f"was made by a different study{which}, and no case of it is of this one"
+            raise InputError(f"{folder} {words}: {remedy}")
         return store
 
     @classmethod
@@ -231,7 +230,10 @@ class Store:
         self.exported = not is_regular(path)
         if not self.exported:
             uri = f"{path.absolute().as_uri()}?mode=rw"
-            with _telling(path), closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as base:
+            with (
+                _telling(path, self.remedy),
+                closing(sqlite3.connect(uri, uri=True, timeout=10.0)) as base,
+            ):
                 base.text_factory = bytes
                 if base.execute("SELECT 1 FROM sqlite_master WHERE name = 'cases'").fetchone():
                     for *content, crc in base.execute("SELECT case_id, body, crc FROM cases"):
@@ -297,15 +299,14 @@ def discard(folder: Path, *exported: str) -> None:
 
 
 @contextmanager
-def _telling(path: Path) -> Iterator[None]:
-    """Raise an error of SQLite as an InputError with cause and remedy."""
+def _telling(path: Path, fresh: str = FRESH) -> Iterator[None]:
+    """Raise an error of SQLite as an InputError with cause and remedy; fresh: that of damage."""
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError) as error:  # the second of SQLite's own words
         remedy = next((words for word, words in REMEDIES.items() if word in str(error)), "")
         cause = str(error) if remedy else f"damaged ({error})"
-        remedy = remedy or "study run --fresh starts over"
-        raise InputError(f"{path}: {cause}: {remedy}") from None
+        raise InputError(f"{path}: {cause}: {remedy or fresh}") from None
 
 
 def is_regular(path: Path) -> bool:
