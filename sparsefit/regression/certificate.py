@@ -253,7 +253,7 @@ def _gaps(
     else:
         doubt, whole = 0.5 * loose + linear, 0.5 * total
     if np.isfinite(loss.clip):
-        start, cut = loss.clipped(target, loss.bound(target))
+        start, cut = loss.clipped(target, loss.bound(data[0]))
         null = design.overlaps(cut, start - 0.5 * cut)
         whole = float(np.minimum(null, 0.5 * level**2).sum())
     doubt += gamma * (primal + alphas * penalty.rough(scaled))

@@ -345,3 +345,13 @@ def test_no_column_with_a_positive_correlation_leaves_a_proven_zero():
     along = sf.path(problem, backends.get("lasso", positive=True), (1.0, 0.1))
     assert along.alpha_max == np.abs(along.weights).max() == 0.0
     assert all(fit.status == "ok" and fit.certificate.bound < 1e-12 for fit in along.fits)
+
+
+@pytest.mark.parametrize("outlier", [4.0, 5.8e13])
+def test_the_gap_of_hubers_loss_is_relative_to_its_value_at_zero_weights(outlier):
+    target = [-1.3, outlier, -1.7]
+    posed = RegressionProblem.from_arrays(np.eye(3)[:, :2], target, intercept=True)
+    penalty = backends.get("huber-lasso", clip=1e-3).penalty(posed)
+    point = np.zeros((1, 2, 1)), np.array([1e-9])
+    (own,) = duality_gaps(posed.design, posed.target, *point, penalty)
+    assert own.value == pytest.approx(1.0 - own.dual / own.primal)

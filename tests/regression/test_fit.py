@@ -276,10 +276,6 @@ def test_hubers_loss_takes_many_rows_or_columns(rows, columns):
     fit = sf.fit(theta, target, "huber-lasso", alpha_fraction=0.02)
     assert (fit.status, fit.repaired) == ("ok", False)
     np.testing.assert_allclose(fit.weights[:2, 0], [1.0, -2.0], atol=0.3)
-    size, own = 1.4826 * np.median(np.abs(target)), fit.certificate  # relative to P at zero
-    cut = np.clip(target, -size * fit.backend.clip, size * fit.backend.clip)
-    null = np.mean(cut * (target - cut / 2))
-    assert own.value * null == pytest.approx(own.primal - own.dual, rel=1e-6, abs=0.0)
 
 
 @pytest.mark.parametrize("intercept", [False, True])

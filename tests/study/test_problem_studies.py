@@ -60,9 +60,7 @@ def test_deeds_of_solvers_are_their_own_cases(tmp_path):
     for name in ("homotopy", "plain", "lazy", "sleeps", "clock"):
         assert ends[name] == "ok", first.loc[name, "reason"]
         assert first.loc[name, "excess"] <= 1e-4
-    work = first.loc["plain", "wall"]
-    for name in ("lazy", "clock"):
-        assert first.loc[name, "wall"] > 0.3 * work
+    assert first.loc[["lazy", "clock"], "wall"].min() > 0.3 * first.loc["plain", "wall"]
     assert first.loc["sleeps", "wall"] > 0.3
     assert first.loc["sleeps", "cpu"] < first.loc["sleeps", "wall"]
     assert "answered another problem" in first.loc["caches", "reason"]
