@@ -1,5 +1,6 @@
 """The regression problem of all back-ends, from any design matrix."""
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -129,7 +130,9 @@ class RegressionProblem(Brief):
             if hasattr(index, "equals") and hasattr(other, "equals") and not index.equals(other):
                 words = f"theta and {name} differ in their index: align them"
                 raise InputError(f"{words}, or use to_numpy() where rows match by position")
-        source, values = _source(theta), real_matrix(target, "target").copy("K")
+        if not np.isscalar(intercept) or intercept not in (True, False):
+            raise InputError(f"intercept must be true or false, not {shown(intercept)}")
+        source, values = _source(theta, intercept), real_matrix(target, "target").copy("K")
         columns, inner = int(source.shape[1]), None
         named = _labels(theta, columns) if names is None else names
         listed = isinstance(named, Iterable) and getattr(named, "ndim", 1) == 1
@@ -140,8 +143,6 @@ class RegressionProblem(Brief):
             inner = _numbers(subgroups, labels, "subgroups")
             if len(set(zip(inner.tolist(), numbers.tolist(), strict=True))) > inner.max() + 1:
                 raise InputError("subgroups must lie within groups: one of them spans two groups")
-        if not np.isscalar(intercept) or intercept not in (True, False):
-            raise InputError(f"intercept must be true or false, not {shown(intercept)}")
         weight, posed = None, dict[str, Any](target=values)
         if sample_weight is not None:
             weight = frozen("sample_weight", sample_weight, (len(values),))
@@ -330,9 +331,10 @@ def compressed(blocks: Iterable[tuple[Array, Array]]) -> tuple[Array, Array]:
     return lower[:columns].T, lower[columns:].T
 
 
-def _source(theta: Any) -> Any:
+def _source(theta: Any, intercept: bool) -> Any:
     """The source of a `Design`: an array of float64, not copied where it is one, or a CSC matrix.
 
+    Beside an intercept a nearly full sparse matrix becomes an array, whose columns can be shifted.
     Raises InputError on anything but a matrix of real numbers.
     """
     package = type(theta).__module__.partition(".")[0]
@@ -345,6 +347,8 @@ def _source(theta: Any) -> Any:
         raise InputError(f"theta must be a matrix of real numbers, not {type(theta).__name__}")
     if not is_sparse:
         return theta
+    if intercept and 1.5 * theta.nnz >= math.prod(theta.shape):  # less memory as an array
+        return theta.toarray().astype(np.float64, copy=False)
     matrix = theta.tocsc()
     matrix = matrix if matrix.dtype == np.float64 else matrix.astype(np.float64)
     if not matrix.has_canonical_format:

@@ -361,7 +361,7 @@ DESCENT = 1e-3  # or by descent, which takes minutes to fit exactly: points belo
 SETTLED = 1e-11  # relative excess of t^2 that ends the search
 ROUNDING = 1e-15  # of (y + |V|_1)^2: what rho^2 from Z'Z may be off by, which ends it too
 STEP = 1e-4  # relative step in t over which the derivative of rho^2 is taken
-ROUNDS = 60
+ROUNDS = 60  # of which a tenth may go by before squares that cannot be solved end a search
 
 
 def _root_path(
@@ -385,7 +385,7 @@ def _root_path(
     floor, complete = np.zeros(len(x), bool), np.zeros(len(x), bool)
     is_open, steps = np.ones(len(x), bool), np.zeros(len(x), np.intp)
     values, words = np.zeros((len(alphas), *cross.shape)), ""
-    for _ in range(ROUNDS):
+    for count in range(ROUNDS):
         at = np.flatnonzero(is_open)
         if not len(at):
             break
@@ -408,13 +408,15 @@ def _root_path(
         low[at] = np.where(excess <= 0, x[at], low[at])
         near = np.abs(excess) <= SETTLED * x[at]
         hidden = (misfit <= 2.0 * off) & ~near  # perhaps no residual remains: look there
-        near |= (np.abs(excess) <= slope[at] * off) & (newton > least) & ~hidden
+        seen = ~hidden | floor[at] & (np.abs(excess) <= STEP * x[at])
+        near |= (np.abs(excess) <= slope[at] * off) & (newton > least) & seen
         # No slope, which at a bend is of no use, leads below where the root is known to be above.
         beyond = ((newton <= least) & (low[at] <= least) | hidden) & ~tried
         inside = (newton > low[at]) & (newton < high[at])
         following = np.where(inside, newton, np.sqrt(low[at]) * np.sqrt(high[at]))
         gone = (x[at] <= least) & (excess >= 0)
         narrow = high[at] <= low[at] * (1.0 + SETTLED)
+        narrow |= ~solved & (hidden | (10 * count >= ROUNDS))
         x[at] = np.where(near, x[at], np.where(beyond, least, following))
         floor[at] = tried
         complete[at] = (near | narrow) & ~gone & solved

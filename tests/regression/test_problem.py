@@ -342,14 +342,14 @@ def test_calls_that_cannot_be_meant_are_refused_in_a_line(call, words):
         call(*arrays())
 
 
-@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("form", [np.ascontiguousarray, np.asfortranarray, sparse.coo_array])
 @pytest.mark.parametrize("weight", [None, np.arange(80) % 3])
-def test_an_offset_of_the_columns_costs_no_digits_beside_an_intercept(order, weight):
+def test_an_offset_of_the_columns_costs_no_digits_beside_an_intercept(form, weight):
     rng = np.random.default_rng(0)
     theta = np.round(rng.normal(size=(80, 6)), 3)  # exact beside the offset, but for the last digit
     offset = np.array([1e9, 0.0, -1e7, 3.0, 1e5, 0.0])
     target = theta[:, :2].sum(axis=1) + 0.1 * rng.normal(size=80)
-    far = np.asarray(theta + offset, order=order)
+    far = form(theta + offset)
     settings = {"alpha_fraction": 0.05, "intercept": True, "sample_weight": weight}
     near, fit = (sf.fit(each, target, "lasso", **settings) for each in (theta, far))
     assert (fit.status, near.status) == ("ok", "ok")
