@@ -50,6 +50,7 @@ Source: Higham, "Accuracy and Stability of Numerical Algorithms" (2002), section
 
 import math
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Literal
 
 import numpy as np
@@ -163,8 +164,8 @@ class DualPoint:
             square, product, loose, off = parts
             peaks, raised = (part.max(axis=1, keepdims=True) for part in (peaks, raised))
         # As computed, and certain: less its error.
-        peaks, certain = np.stack([peaks, raised * (1.0 + self.gamma)]), np.array([0.0, 1.0])
-        certain, limiting = certain[:, None, None], square
+        peaks = np.array([peaks, raised * (1.0 + self.gamma)])
+        certain, limiting = np.array([[[0.0]], [[1.0]]]), square
         if isinstance(penalty.loss, RootSquares):  # a limit of s there
             limiting = square + certain * (self.gamma * square + loose)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -184,7 +185,7 @@ class DualPoint:
                 beyond = beyond.sum(axis=-1, keepdims=True) if penalty.coupled else beyond
                 value -= beyond * (1.0 + certain * self.gamma)
             values.append(value)
-        dual, least = np.max(values, axis=0).sum(axis=-1)
+        dual, least = reduce(np.maximum, values).sum(axis=-1)
         return dual, least
 
 
@@ -228,7 +229,7 @@ def _gaps(
     (count, k, n), loss, sums = scaled.shape, penalty.loss, data[1]
     target = loss.centred(data[0])
     level = np.sqrt(design.overlaps(target, target))
-    used = int(np.any(scaled.any(axis=0), axis=1).sum())
+    used = len(sums[1]) if sums else int(np.count_nonzero(scaled.any(axis=(0, 2))))
     gamma = rounding_of(design.terms + 2 * used * n + 20)
     linear = np.zeros(count)
     if sums:

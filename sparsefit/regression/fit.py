@@ -6,7 +6,7 @@ another package is trusted, but what it returns is validated.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import compress
 from time import perf_counter
@@ -49,16 +49,15 @@ PROVEN = 0.1  # of a tolerance: the gap from Z'Z, with its rounding error, that 
 
 def fit(problem: RegressionProblem, backend: Backend, *, tolerance: float = TOLERANCE) -> Fit:
     """Solve one problem and certify the weights; documented as `sparsefit.fit`."""
-    _check(problem, backend, tolerance)
-    if isinstance(backend, PathBackend) and backend.alpha_fraction == "auto":
+    penalised = _checked(problem, backend, tolerance)
+    fraction = penalised.alpha_fraction if penalised else np.nan
+    if fraction == "auto" and isinstance(backend, PathBackend):
         start = perf_counter()
         whole = _along(problem, backend, np.array(FRACTIONS), tolerance)
         index, criterion = choose_penalty(problem, backend, whole.weights)
         seconds = perf_counter() - start
         return replace(whole.fits[index], seconds=seconds, criterion=criterion)
-    wanted = np.empty(0)
-    if isinstance(backend, PenalisedBackend):
-        wanted = np.array([numeric_fraction(backend.name, backend.alpha_fraction)])
+    wanted = np.array([numeric_fraction(backend.name, fraction)] if penalised else [])
     return _along(problem, backend, wanted, tolerance).fits[0]
 
 
@@ -70,8 +69,7 @@ def path(
     tolerance: float = TOLERANCE,
 ) -> Path:
     """Solve along a penalty grid and certify every point; documented as `sparsefit.path`."""
-    _check(problem, backend, tolerance)
-    if not isinstance(backend, PenalisedBackend):
+    if not _checked(problem, backend, tolerance):
         raise InputError(f"back-end {backend.name!r} has no penalty, and so no path; use fit")
     given = np.atleast_1d(np.array(alpha_fractions, dtype=object))
     if given.ndim != 1 or not given.size:
@@ -112,7 +110,7 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
     if len(raw) != len(points):
         words = f"{len(raw)} solutions for a path of {len(points)} penalties"
         raise InputError(f"back-end {backend.name!r} returned {words}")
-    solutions = [_received(solution, backend, problem) for solution in raw]
+    solutions = list(_received(raw, backend, problem))
     problem.refuse_changes()
     weights = [each.weights for each in solutions]
     certificates = certificates_of(problem, points, weights, PROVEN * tolerance)
@@ -124,25 +122,28 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
     return Path(wanted, in_turn, perf_counter() - start)
 
 
-def _received(solution: Any, backend: Backend, problem: RegressionProblem) -> Solution:
-    """The solution with weights (k, n) of floats, finite or not; None where it failed.
+def _received(
+    raw: Sequence[Any], backend: Backend, problem: RegressionProblem
+) -> Iterator[Solution]:
+    """The solutions with weights (k, n) of floats, finite or not; None where one failed.
 
     Raises InputError on any other return.
     """
-    where = f"back-end {backend.name!r} returned"
-    if not isinstance(solution, Solution):
-        raise InputError(f"{where} {type(solution).__name__}, not a Solution")
-    if solution.status not in get_args(SolutionStatus):
-        raise InputError(f"{where} the unknown status {shown(solution.status)}")
-    if solution.weights is None or solution.status == "error":
-        return replace(solution, weights=None)
-    try:
-        weights = np.asarray(solution.weights, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{where} weights that are no array of real numbers") from None
-    if weights.shape != (right := (problem.columns, problem.targets)):
-        raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
-    return solution if weights is solution.weights else replace(solution, weights=weights)
+    where, right = f"back-end {backend.name!r} returned", (problem.columns, problem.targets)
+    statuses = get_args(SolutionStatus)
+    for solution in raw:
+        if not isinstance(solution, Solution):
+            raise InputError(f"{where} {type(solution).__name__}, not a Solution")
+        if solution.status not in statuses:
+            raise InputError(f"{where} the unknown status {shown(solution.status)}")
+        is_missing = solution.weights is None or solution.status == "error"
+        try:
+            weights = None if is_missing else np.asarray(solution.weights, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{where} weights that are no array of real numbers") from None
+        if weights is not None and weights.shape != right:
+            raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
+        yield solution if weights is solution.weights else replace(solution, weights=weights)
 
 
 def certificates_of(
@@ -246,7 +247,8 @@ def _judged(
     return replace(best, backend=backend, seconds=seconds, repaired=better)
 
 
-def _check(problem: Any, backend: Any, tolerance: Any) -> None:
+def _checked(problem: Any, backend: Any, tolerance: Any) -> PenalisedBackend | None:
+    """The back-end, if it has a penalty, else None. Raises InputError on what cannot be solved."""
     if not isinstance(problem, RegressionProblem):
         words = f"fit needs a RegressionProblem, not {type(problem).__name__}"
         raise InputError(f"{words}; see RegressionProblem.from_arrays")
@@ -255,3 +257,6 @@ def _check(problem: Any, backend: Any, tolerance: Any) -> None:
         raise InputError(f"fit needs a back-end, not its class: {backend.__name__}()")
     if not (hasattr(backend, "solve") and hasattr(backend, "certificate_kind")):
         raise InputError(f"fit needs a back-end, not {shown(backend)}; see backends.get(name)")
+    # Not by isinstance, which takes as long for a protocol as a small path.
+    has_penalty = hasattr(backend, "penalty") and hasattr(backend, "alpha_fraction")
+    return backend if has_penalty else None

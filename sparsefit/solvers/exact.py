@@ -183,6 +183,8 @@ def _by_targets(
     grows = plain and some and len(cross) <= FEW and compiled("homotopy")
     source = Growing(design) if grows else design
     solved = [_along(source, target[:, part], penalty, alphas, cross[:, part]) for part in parts]
+    if len(solved) == 1:
+        return solved[0]
     return Points(
         np.concatenate([points.weights for points in solved], axis=2),
         np.all([points.complete for points in solved], axis=0),

@@ -89,7 +89,7 @@ class PenalisedPath(Checked, ABC):
         # The certificate judges points where rounding prevents the solver's own stop.
         words = "the path is incomplete at this penalty"
         solved = Solution(None, solver_status=path.words)
-        cut_short = replace(solved, status="inaccurate", reason=words)
+        cut_short = like(solved, status="inaccurate", reason=words)
         points = zip(weights, path.complete.tolist(), path.steps.tolist(), strict=True)
         return tuple(
             like(solved if complete else cut_short, weights=values, iterations=count)
@@ -134,8 +134,10 @@ class ElasticNet(PenalisedPath):
 
 
 def _signed(plain: AbsoluteValues, positive: bool) -> AbsoluteValues:
+    if not positive:
+        return plain
     lower, upper = np.zeros(plain.columns), np.full(plain.columns, np.inf)
-    return BoundedValues(plain.weights, lower, upper, ridge=plain.ridge) if positive else plain
+    return BoundedValues(plain.weights, lower, upper, ridge=plain.ridge)
 
 
 @dataclass(frozen=True)
