@@ -242,21 +242,18 @@ def _gaps(
         if np.isfinite(loss.clip):
             rest, pull, rho, linear = _clipped(design, data[0], loss, rest, size, unit)
         point = DualPoint.of(design, target, pull, gamma, rho)
-    overlap = point.square  # u = R, but of Huber's loss
-    if np.isfinite(loss.clip):
-        overlap = design.overlaps(pull, rest).reshape(count, n)
-    primal = loss.primal(point.square, overlap, level) + alphas * penalty.value(scaled)
     loose, total = point.square_error.sum(axis=1), float(np.sum(level**2))
+    overlap, doubt, whole = point.square, 0.5 * loose + linear, 0.5 * total
+    if np.isfinite(loss.clip):  # else u = R
+        overlap = design.overlaps(pull, rest).reshape(count, n)
+        start, cut = loss.clipped(target, loss.bound(data[0]))
+        null = design.overlaps(cut, start - 0.5 * cut)
+        whole = float(np.minimum(null, 0.5 * level**2).sum())
     if isinstance(loss, RootSquares):
         square = point.square.sum(axis=1)
         moved = np.sqrt(square + loose) - np.sqrt(np.maximum(square - loose, 0.0))
         doubt, whole = np.sqrt(total) * moved, total
-    else:
-        doubt, whole = 0.5 * loose + linear, 0.5 * total
-    if np.isfinite(loss.clip):
-        start, cut = loss.clipped(target, loss.bound(data[0]))
-        null = design.overlaps(cut, start - 0.5 * cut)
-        whole = float(np.minimum(null, 0.5 * level**2).sum())
+    primal = loss.primal(point.square, overlap, level) + alphas * penalty.value(scaled)
     doubt += gamma * (primal + alphas * penalty.rough(scaled))
     whole = whole or 1.0
     full = point.with_ridge(scaled, alphas, penalty) if penalty.ridge else point

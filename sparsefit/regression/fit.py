@@ -8,7 +8,6 @@ another package is trusted, but what it returns is validated.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import compress
 from time import perf_counter
 from typing import Any, get_args
 
@@ -112,7 +111,7 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
         raise InputError(f"back-end {backend.name!r} returned {words}")
     solutions = list(_received(raw, backend, problem))
     problem.refuse_changes()
-    weights = [each.weights for each in solutions]
+    weights = np.array([each.weights for each in solutions])
     certificates = certificates_of(problem, points, weights, PROVEN * tolerance)
     fits = [
         _judged(problem, *parts, seconds, tolerance)
@@ -125,12 +124,12 @@ def _along(problem: RegressionProblem, backend: Any, wanted: Array, tolerance: f
 def _received(
     raw: Sequence[Any], backend: Backend, problem: RegressionProblem
 ) -> Iterator[Solution]:
-    """The solutions with weights (k, n) of floats, finite or not; None where one failed.
+    """The solutions with weights (k, n) of floats, finite or not; NaN where one failed.
 
     Raises InputError on any other return.
     """
     where, right = f"back-end {backend.name!r} returned", (problem.columns, problem.targets)
-    statuses = get_args(SolutionStatus)
+    statuses, missing = get_args(SolutionStatus), np.full(right, np.nan)
     for solution in raw:
         if not isinstance(solution, Solution):
             raise InputError(f"{where} {type(solution).__name__}, not a Solution")
@@ -138,31 +137,25 @@ def _received(
             raise InputError(f"{where} the unknown status {shown(solution.status)}")
         is_missing = solution.weights is None or solution.status == "error"
         try:
-            weights = None if is_missing else np.asarray(solution.weights, dtype=np.float64)
+            weights = missing if is_missing else np.asarray(solution.weights, dtype=np.float64)
         except (TypeError, ValueError):
             raise InputError(f"{where} weights that are no array of real numbers") from None
-        if weights is not None and weights.shape != right:
+        if weights.shape != right:
             raise InputError(f"{where} weights of shape {weights.shape}, not {right}")
         yield solution if weights is solution.weights else replace(solution, weights=weights)
 
 
 def certificates_of(
-    problem: RegressionProblem,
-    points: Sequence[Any],
-    weights: Sequence[Array | None],
-    enough: float = 0.0,
+    problem: RegressionProblem, points: Sequence[Any], weights: Array, enough: float = 0.0
 ) -> list[Certificate | None]:
-    """The certificates of weights (k, n), one at each point; None of weights that are not finite.
+    """The certificates of weights (p, k, n), one at each point; None of what is not finite.
 
     points: a back-end at p penalties, strongest first, or alone. enough: the duality gap, with its
     rounding error, that need not be computed from the rows where Z'Z gives it.
     """
-    given = [i for i, each in enumerate(weights) if each is not None]
-    values = np.array([weights[i] for i in given])
-    finite = np.isfinite(values).all(axis=(1, 2)) if given else np.zeros(0, bool)
-    solved = list(compress(given, finite))
+    finite = np.isfinite(weights).all(axis=(1, 2))
+    values, solved = weights[finite], np.flatnonzero(finite).tolist()
     kind, certificates = points[0].certificate_kind, dict[int, Certificate]()
-    values = values[finite]
     if kind == "duality_gap" and solved:
         penalty = points[0].penalty(problem)
         alphas = problem.alpha_max(penalty) * np.array([points[i].alpha_fraction for i in solved])
@@ -213,9 +206,9 @@ def _judged(
     the better certificate counts.
     """
     status: str = solution.status
-    reason, weights = solution.reason, solution.weights
-    if weights is None or certificate is None:
-        weights = np.full((problem.columns, problem.targets), np.nan)
+    reason, weights = solution.reason, np.asarray(solution.weights)
+    if certificate is None:
+        weights = np.full(weights.shape, np.nan)
         status = "unidentifiable" if status == "unidentifiable" else "error"
         reason = reason or "the back-end returned no finite weights"
     elif status in ("ok", "inaccurate"):

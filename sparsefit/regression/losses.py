@@ -43,16 +43,14 @@ class Squares:
 
     def _median(self, target: Array) -> Array:
         """The weighted medians (n,) of targets (m, n) without the roots of the weights."""
-        if self.roots is None:
-            middle: Array = np.median(target, axis=0)
-            return middle
-        on = self.roots > 0
-        values, weight = target[on] / self.roots[on, None], self.roots[on] ** 2
+        roots = np.ones(len(target)) if self.roots is None else self.roots
+        on = roots > 0
+        values, weight = target[on] / roots[on, None], roots[on] ** 2
         order = np.argsort(values, axis=0)
         share = np.cumsum(weight[order], axis=0) / weight.sum()
         ends = [np.argmax(share > 0.5 + side, axis=0) for side in (-1e-12, 1e-12)]
         places = np.take_along_axis(order, np.stack(ends), axis=0)
-        middle = 0.5 * np.take_along_axis(values, places, axis=0).sum(axis=0)
+        middle: Array = 0.5 * np.take_along_axis(values, places, axis=0).sum(axis=0)
         return middle
 
     def centred(self, target: Array) -> Array:

@@ -278,12 +278,10 @@ class BoundedValues(AbsoluteValues):
         return total
 
     def in_units(self, level: float) -> Self:
-        lower, upper = self.lower / level, self.upper / level
-        return replace(self, ridge=self.ridge * level, lower=lower, upper=upper)
+        return replace(super().in_units(level), lower=self.lower / level, upper=self.upper / level)
 
     def restricted(self, index: IntArray) -> Self:
-        lower, upper = self.lower[index], self.upper[index]
-        return replace(self, weights=self.weights[index], lower=lower, upper=upper)
+        return replace(super().restricted(index), lower=self.lower[index], upper=self.upper[index])
 
     def prox(self, values: Array, step: float) -> Array:
         return np.clip(super().prox(values, step), self.lower[:, None], self.upper[:, None])

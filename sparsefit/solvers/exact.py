@@ -21,6 +21,7 @@ Sources: Johnson and Guestrin, "Blitz: a principled meta-algorithm for scaling s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -146,11 +147,7 @@ def exact_path(
     if isinstance(penalty.loss, RootSquares):
         return _root_path(design, target, penalty, alphas, cross)
     if np.isfinite(penalty.loss.clip):
-
-        def squares(y: Array, alphas: Array) -> Points:
-            free = replace(penalty, loss=SQUARES)
-            return _by_targets(design, y, free, alphas, design.correlate(y))
-
+        squares = partial(exact_path, design, penalty=replace(penalty, loss=SQUARES))
         return outlier_path(design, target, cross, penalty, alphas, squares)
     if isinstance(penalty, SquaredNorm):
         return _ridge_path(design, target, penalty, alphas, cross)

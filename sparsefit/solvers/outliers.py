@@ -84,12 +84,12 @@ def outlier_path(
     cross: Array,
     penalty: Penalty,
     alphas: Array,
-    squares: Callable[[Array, Array], Points],
+    squares: Callable[..., Points],
 ) -> Points:
     """The optimum at descending penalties alphas (p,) of Huber's loss, for targets (m, n).
 
-    cross Z'Y/m (k, n); squares(Y, alphas): the path of the LASSO. Raises InputError where the
-    penalty is not the LASSO's.
+    cross Z'Y/m (k, n); squares(target=, alphas=): the path of the LASSO. Raises InputError where
+    the penalty is not the LASSO's.
     """
     if type(penalty) is not AbsoluteValues or penalty.ridge:
         name = type(penalty).__name__
@@ -118,7 +118,7 @@ def _one_target(
     knot: Array,
     penalty: AbsoluteValues,
     alphas: Array,
-    squares: Callable[[Array, Array], Points],
+    squares: Callable[..., Points],
 ) -> Points:
     """The path for one target (m, 1), with the knot (1, 1), or (m, 1) of weighted samples."""
     k, root, along = penalty.columns, np.sqrt(design.samples), penalty.loss.direction
@@ -131,7 +131,7 @@ def _one_target(
     plain: Points | None = None
     for i, alpha in enumerate((alphas / level).tolist()):
         if i and plain is None and not values[len(index) :].any():
-            plain = squares(y, alphas / level)
+            plain = squares(target=y, alphas=alphas / level)
         if plain is not None:
             residual, clipped = penalty.loss.clipped(y - design.predict(plain.weights[i]), knot)
             if np.array_equal(residual, clipped):
