@@ -23,7 +23,6 @@ def test_it_is_worked_out_once_and_kept_in_the_instance():
 
 
 def test_two_instances_are_worked_out_at_the_same_time():
-    meeting = threading.Barrier(2)
-    both = [Slow(meeting), Slow(meeting)]
+    both = [*map(Slow, [threading.Barrier(2)] * 2)]
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(lambda each: each.value, both)) == [1, 1]

@@ -123,9 +123,9 @@ def diagnose(
     fits: list[tuple[Trial, Posterior]] = []
 
     def refit(
-        models: Sequence[Model], near: Posterior, least: float = -math.inf, passes: int = PASSES
+        models: Sequence[Model], near: Posterior, least: float = -math.inf, *, last: bool = False
     ) -> Posterior | None:
-        there = fitted(logs, models, near, passes, least)
+        there = fitted(logs, models, near, LAST if last else PASSES, least, rough=not last)
         return there if there is not None and usable(there) and inside(there) else None
 
     def attempt(trials: Iterable[Trial]) -> None:
@@ -200,17 +200,18 @@ def diagnose(
     suspects.sort(key=lambda own: -own.share)
     if posterior is not first:
         posterior = _simplest(refit, posterior)
+    changed = posterior is not start
     answers = [posterior, believed] if suspects else [posterior]
     for place, own in enumerate(answers):  # intervals are those at the maximum
-        if not own.converged and usable(own):
-            answers[place] = refit(own.models, own, passes=LAST) or own
+        if usable(own) and not (own.converged and own.fine):
+            answers[place] = refit(own.models, own, last=True) or own
     posterior, believed = answers[0], answers[-1]
     growth = posterior.value("growth"), posterior.error("growth")
     if "growth" not in posterior.names:
-        grown = gains if posterior is start else gains_of(posterior, {"growth": ("growth",)})
+        grown = gains_of(posterior, {"growth": ("growth",)}) if changed else gains
         growth = float(grown["growth", 0].step[0]), float(grown["growth", 0].error[0])
     shares = _ambiguity(posterior, believed, rivals) if suspects else (0.0, 0.0)
-    if posterior is start:  # gains of the last round, in which nothing was freed
+    if not changed:  # gains of the last round, in which nothing was freed
         hints = [
             own.moves for own in gains.values() if tests * chance_of(own.gain, len(own.step)) < HINT
         ]
@@ -374,12 +375,14 @@ def fitted(
     start: Posterior | None = None,
     passes: int = PASSES,
     least: float = -math.inf,
+    *,
+    rough: bool = True,
 ) -> Posterior | None:
     """The posterior of models of logs, all their levels estimated.
 
     start: a nearby optimum whose tracks and levels are the start. Without one, or with a process
     that it has not, the levels of the sensors start from the logs' own noise: white process noise
-    in place of a coloured one takes their share too. passes, least: as in `measure`.
+    in place of a coloured one takes their share too. passes, least, rough: as in `measure`.
     """
     starts = list(models)
     processes = 0 if start is None else len(start.model.disturbance.processes)
@@ -389,7 +392,7 @@ def fitted(
             levels[LEVELS[0]] = BESIDE * model.disturbance.acceleration
             starts[number] = replace(model, disturbance=model.disturbance.at(levels))
     try:
-        return measure(logs, starts, start, passes, least)
+        return measure(logs, starts, start, passes, least, rough=rough)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
         return None
 

@@ -64,6 +64,12 @@ class Posterior:
         return not self.reason
 
     @property
+    def fine(self) -> bool:
+        """Whether no step is longer than those of the answer."""
+        steps = ((leg, float(np.diff(leg.nodes.time).max())) for leg in self.legs)
+        return all(step < 1.001 * longest_step(leg.log, leg.model) for leg, step in steps)
+
+    @property
     def exact(self) -> bool:
         """Whether the readings and the motion of all logs are as exact as the passes."""
         return all(self.exact_logs)
@@ -275,6 +281,8 @@ def measure(
     start: Posterior | None = None,
     passes: int = PASSES,
     least: float = -math.inf,
+    *,
+    rough: bool = False,
 ) -> Posterior:
     """Find the maximum of the likelihood of logs that share the free parameters, and its levels.
 
@@ -287,6 +295,7 @@ def measure(
         passes: over all rows at most.
         least: the log-likelihood without which the posterior is of no use: a search that falls
             behind is given up.
+        rough: whether steps are as long as noise hides (`longest_step`).
 
     Raises:
         InputError: if the log has gaps too long, or few rows of it do not hold the waves.
@@ -314,7 +323,7 @@ def measure(
                 max(push / each.values["response_time"], each.disturbance.acceleration)
                 for each in models
             ]
-            placed = (Leg.of(*pair, stride) for pair in pairs)
+            placed = (Leg.of(*pair, stride, rough=rough) for pair in pairs)
             legs = tuple(leg.at({LEVELS[0]: q}) for leg, q in zip(placed, kicks, strict=True))
             if stride > 1:
                 few, hold = climbed(legs, floors, PASSES)[0], 0
@@ -323,7 +332,7 @@ def measure(
                 legs = tuple(leg.again(1) for leg in few)
         else:
             legs = tuple(
-                Leg.of(*pair, 1, (leg.nodes.time, leg.track))
+                Leg.of(*pair, 1, (leg.nodes.time, leg.track), rough=rough)
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
         legs, step, reason = climbed(legs, floors, hold, passes, least)

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.likelihood.model import LEVELS
 from sparsefit.likelihood.nodes import Smoothed
 from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
@@ -27,7 +26,6 @@ from sparsefit.likelihood.trellis import Leg, Pass
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
 INSTRUMENTS = (1, 2)  # the places of the levels of position and velocity; 0 is process noise
 PASSES = 30  # at most, on few rows and on all
-LIFTS = 2  # restarts with ten times the process noise, where no likelihood is asked
 GAIN = 0.005  # of the log-likelihood in a pass, below which the search has converged
 NEGLIGIBLE = 0.01  # degrees of freedom of a level that counts as zero
 GATE = 4.5  # deviations beyond which a reading is left out
@@ -154,7 +152,7 @@ def climbed(
         The logs at the optimum with their smoothed passes, the last step, and the reason why the
         search did not converge; empty if it did.
     """
-    reason, share, halvings, lifts, fresh = "", 1.0, 0, 0, True
+    reason, share, halvings, fresh = "", 1.0, 0, True
     scouts = [LevelSteps(floor, hold) for floor in floors]
     history: list[float] = []
     best: tuple[Step, tuple[Smoothed, ...], list[Array]] | None = None
@@ -164,18 +162,10 @@ def climbed(
         lost = max(1.0, 0.5 * best[0].gain - step.gain) if best else 0.0
         fallen = best is not None and not fresh and step.reached < best[0].reached - lost
         if fallen or not math.isfinite(step.reached):
-            if best is not None and halvings < 4:
-                halvings += 1
-            elif lifts < LIFTS and math.isinf(least):
-                before = legs if best is None else [each.leg for each in best[0].passes]
-                levels = (10.0 * leg.model.disturbance.acceleration for leg in before)
-                pairs = zip(before, levels, strict=True)
-                legs = tuple(leg.at({LEVELS[0]: max(level, 0.01)}) for leg, level in pairs)
-                best, lifts, halvings, fresh = None, lifts + 1, 0, True
-                scouts = [LevelSteps(floor, hold) for floor in floors]
-            else:
+            if best is None or halvings == 4:
                 reason = "the likelihood cannot be raised from where the search started"
                 break
+            halvings += 1
         else:
             halvings, smoothed = 0, step.smoothed()
             sorted_out = zip(legs, smoothed, strict=True) if len(history) < SORTING else ()
@@ -266,7 +256,7 @@ class LevelSteps:
         step, share, gain = np.zeros(len(levels)), np.zeros(len(active)), math.inf
         before, self.before = self.before, (place, ratio)
         if self.gain < 10.0 and len(information) and len(active):
-            least = np.where(instruments[active], -0.7, -0.99)
+            least = np.where((instruments & (n > 1.0))[active], -0.7, -0.99)
             share = _bounded(information[np.ix_(active, active)], (a - n)[active], least)
             gain = float((a - n)[active] @ share)
         if not len(active) or 0.0 <= gain < 10.0:

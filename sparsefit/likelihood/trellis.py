@@ -26,7 +26,7 @@ except ImportError:  # no compiler where the package was installed
     passes = importlib.import_module("sparsefit.likelihood.reference")
 
 BLOCK = 8192  # nodes whose passes are stored at once
-PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion
+PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion, twice in a rough one
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,7 @@ class Leg:
         track: the states (m, n) at the nodes, which the motion is linearised along.
         last: the last backward pass on these nodes, if any.
         stride: of the rows.
+        rough: whether steps are as long as noise hides (`longest_step`).
     """
 
     log: FlightLog
@@ -48,25 +49,33 @@ class Leg:
     track: Array
     last: Smoothed | None = None
     stride: int = 1
+    rough: bool = False
 
     @classmethod
     def of(
-        cls, log: FlightLog, model: Model, stride: int = 1, path: tuple[Array, Array] | None = None
+        cls,
+        log: FlightLog,
+        model: Model,
+        stride: int = 1,
+        path: tuple[Array, Array] | None = None,
+        *,
+        rough: bool = False,
     ) -> Leg:
         """Place the nodes of a log, further apart if rows are left out, and a track on them.
 
         path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
         """
-        longest = longest_step(log, model) * (1.0 + (stride > 1))
+        longest = 2.0 * longest_step(log, model) if stride > 1 else longest_step(log, model, rough)
         nodes = Nodes.of(log, model.pattern.origin, longest, model.values["latency"], stride)
         near = nodes.track()
         if path is not None:
             near = np.column_stack([np.interp(nodes.time, path[0], own) for own in path[1].T])
-        return cls(log, model, nodes, _widened(near, model), None, stride)
+        return cls(log, model, nodes, _widened(near, model), None, stride, rough)
 
     def again(self, stride: int) -> Leg:
         """The leg on the nodes of another stride or of a changed latency."""
-        leg = Leg.of(self.log, self.model, stride, (self.nodes.time, self.track))
+        path = self.nodes.time, self.track
+        leg = Leg.of(self.log, self.model, stride, path, rough=self.rough)
         if not np.array_equal(leg.nodes.seen, self.nodes.seen):
             return leg
         nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
@@ -185,11 +194,15 @@ class Pass:
         return result
 
 
-def longest_step(log: FlightLog, model: Model) -> float:
-    """The step [s] in which waves turn by `PHASE`, if by less than half a turn between rows."""
+def longest_step(log: FlightLog, model: Model, rough: bool = False) -> float:
+    """The step [s] in which waves turn by `PHASE`, if by less than half a turn between rows.
+
+    rough: whether it may be up to twice that, its error (of fourth order) as the log's noise.
+    """
     size, tau = float(np.hypot(*model.pattern.waves[:, :2].T).max()), model.values["response_time"]
     slaved = log.interval > tau  # what the vehicle does within its response time is not seen
-    turn = PHASE * max(1.0 / (size * log.speed), log.interval / math.pi)
+    hidden = min(max(2.0 * (log.noise[1] / log.speed) ** 0.25, PHASE), 2.0 * PHASE)
+    turn = (hidden if rough else PHASE) * max(1.0 / (size * log.speed), log.interval / math.pi)
     return min(turn, (1.5 if slaved else 0.5) * tau)
 
 

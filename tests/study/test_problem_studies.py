@@ -61,8 +61,7 @@ def test_deeds_of_solvers_are_their_own_cases(tmp_path):
         assert ends[name] == "ok", first.loc[name, "reason"]
         assert first.loc[name, "excess"] <= 1e-4
     assert first.loc[["lazy", "clock"], "wall"].min() > 0.3 * first.loc["plain", "wall"]
-    assert first.loc["sleeps", "wall"] > 0.3
-    assert first.loc["sleeps", "cpu"] < first.loc["sleeps", "wall"]
+    assert first.loc["sleeps", "wall"] > max(0.3, first.loc["sleeps", "cpu"])
     assert "answered another problem" in first.loc["caches", "reason"]
     assert "points answered" in first.loc["silent", "reason"]
     for name in ("caches", "silent", "memory", "exits", "odd", "spoils", "cuts"):
