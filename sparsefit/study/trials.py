@@ -244,7 +244,7 @@ class Latency:
     """Times [s] of one estimate over a number of flights, and the peak memory [MB] of its process.
 
     busy: the share of flights that were disturbed twice. All infinite where the process died or was
-    killed at its limit.
+    killed at its limit, and where no flight can be simulated.
     """
 
     median: float
@@ -276,13 +276,16 @@ def measured(plan: FlightExperiment, cells: Sequence[int], flights: int) -> Late
                         break
             except NoAnswerError as failed:
                 if failed.lost:
-                    return Latency(math.inf, math.inf, math.inf, 0)
+                    times.clear()
+                    break
                 continue  # a flight that cannot be simulated is not timed
             times.append(min(run.cpu for run in runs) if late else run.wall)
             busy += late and len(times) > 2
             if len(times) >= 12 and time.monotonic() - begun > 15.0:
                 break
     del times[:2]
+    if not times:
+        return Latency(math.inf, math.inf, math.inf, 0)
     median, p99 = map(float, np.quantile(times, [0.5, 0.99]))
     return Latency(median, p99, peak or math.nan, len(times), busy / len(times))
 
