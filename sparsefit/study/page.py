@@ -24,7 +24,7 @@ from sparsefit.plot.style import encoded, wrapped
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
 from sparsefit.study.figures import Picture
-from sparsefit.study.measures import in_flow, measure, stated
+from sparsefit.study.measures import in_flow, measure, numeric_factors, stated
 from sparsefit.study.store import MANIFEST, read_record
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.tables import asked, is_predicted, script_of
@@ -92,16 +92,21 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Part | str:
 
 
 def check_outputs(study: Any) -> None:
-    """Refuse unknown outputs before anything is run.
+    """Refuse unknown outputs, and figures along nothing, before anything is run.
 
     Raises:
         InputError: with the nearest known name.
     """
+    plan = study.plan()
     for kind, room in (("table", tables), ("figure", figures)):
         for name, entry in asked(study, kind, room.LAYOUTS):
             along = getattr(entry, "along", "")
-            if along.startswith("flights.") and along not in study.plan():
+            if along.startswith("flights.") and along not in plan:
                 raise InputError(f"{kind} {name}: along {along}, which is not swept")
+            layout = room.LAYOUTS.get(getattr(entry, "compare", "script") or "settings")
+            if layout is figures.lines and not along and not numeric_factors(plan):
+                words = "no number is swept: give along = …, a column such as condition"
+                raise InputError(f"{kind} {name}: {words}")
     headline = study.definition.outputs.headline
     if headline and measure(headline).kind not in ("", study.kind):
         raise InputError(f'[outputs] headline: "{headline}" is no measure of {study.kind}')

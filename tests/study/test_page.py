@@ -85,7 +85,7 @@ class TestPage:
         assert ": no answer (lasso)" in page.headline(study(failed), failed)
 
     @pytest.mark.parametrize("outputs", [
-        {"tables": ("eror",)}, {"figures": ("skatter",)}, {"headline": "eror"},
+        {"tables": ("eror",)}, {"figures": ("skat",)}, {"headline": "err"}, {"figures": ("sweep",)},
     ])  # fmt: skip
     def test_unknown_outputs_are_refused_before_anything_is_run(self, outputs):
         with pytest.raises(InputError):
