@@ -81,7 +81,7 @@ def significant(value: float, digits: int = 3) -> str:
         return f"{value:.{digits - 1}e}"
     power = int(f"{value:.{digits - 1}e}".partition("e")[2])  # of the rounded number
     decimals = digits - 1 - power if value else 0
-    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"  # no -0
 
 
 def cell_text(cell: Value, column: Column) -> str:

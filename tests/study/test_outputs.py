@@ -162,7 +162,7 @@ class TestText:
     @pytest.mark.parametrize(
         ("value", "text"),
         [(99.97, "100"), (0.00012345, "0.000123"), (1e-5, "1.00e-05"), (123456.0, "123000"),
-         (0.0, "0"), (7, "7")],
+         (0.0, "0"), (-0.0, "0"), (7, "7")],
     )  # fmt: skip
     def test_three_significant_digits(self, value, text):
         assert significant(value) == text
