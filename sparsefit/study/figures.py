@@ -249,21 +249,30 @@ def _curves(entry: Entry, cases: pd.DataFrame, places: IntArray) -> list[tuple[s
     return [(str(name), places[at]) for (name,), at in grouped(here, [entry.lines])]
 
 
+def axes_of(entry: Entry, cases: pd.DataFrame) -> list[str]:
+    """Return the columns that lines are drawn along: `along`, or every swept numeric factor.
+
+    Raises:
+        InputError: if no number is swept.
+    """
+    axes = [entry.along] if entry.along else measures.numeric_factors(cases)
+    if not axes:
+        raise InputError("no number is swept: give along = …, a column such as condition")
+    return axes
+
+
 def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
     """Draw measures along a factor, a line per value of `lines`, a row of panels per measure.
 
-    Without `along`, every swept numeric factor is an axis. Levels of `columns` and `rows` have
-    their own panels; all other factors are pooled.
+    Levels of `columns` and `rows` have their own panels; all other factors are pooled.
     """
-    axes_of = [entry.along] if entry.along else measures.numeric_factors(cases)
-    if not axes_of:
-        raise InputError("along = …: no number is swept; name a column, such as condition")
-    tables.check_columns(cases, axes_of, "the figure")
+    axes = axes_of(entry, cases)
+    tables.check_columns(cases, axes, "the figure")
     if entry.along == "condition" and cases["condition"].nunique() < 2:
         entry = replace(entry, lines="condition")
     seen = np.any([~np.isnan(each.values(cases)) for each in entry.measures], axis=0)
     whole, cases, grid = cases, cases[seen], list[list[Panel]]()
-    for along in axes_of:
+    for along in axes:
         level_of = tables.levels_of(whole, along)[seen].cat.remove_unused_categories()
         codes, levels = level_of.cat.codes.to_numpy(), level_of.cat.categories
         named = () if pd.api.types.is_numeric_dtype(cases[along]) else tuple(levels)

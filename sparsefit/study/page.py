@@ -19,12 +19,12 @@ from typing import Any, TypeAlias
 
 import pandas as pd
 
-from sparsefit.errors import InputError
+from sparsefit.errors import InputError, told_with
 from sparsefit.plot.style import encoded, wrapped
 from sparsefit.study import figures, solver_times, tables
 from sparsefit.study.columns import STATUSES
 from sparsefit.study.figures import Picture
-from sparsefit.study.measures import in_flow, measure, numeric_factors, stated
+from sparsefit.study.measures import in_flow, measure, stated
 from sparsefit.study.store import MANIFEST, read_record
 from sparsefit.study.table import MARKDOWN, Column, Table, cell_text, sentence, significant
 from sparsefit.study.tables import asked, is_predicted, script_of
@@ -100,13 +100,13 @@ def check_outputs(study: Any) -> None:
     plan = study.plan()
     for kind, room in (("table", tables), ("figure", figures)):
         for name, entry in asked(study, kind, room.LAYOUTS):
-            along = getattr(entry, "along", "")
-            if along.startswith("flights.") and along not in plan:
-                raise InputError(f"{kind} {name}: along {along}, which is not swept")
-            layout = room.LAYOUTS.get(getattr(entry, "compare", "script") or "settings")
-            if layout is figures.lines and not along and not numeric_factors(plan):
-                words = "no number is swept: give along = …, a column such as condition"
-                raise InputError(f"{kind} {name}: {words}")
+            if not isinstance(entry, tables.Entry):
+                continue
+            if entry.along.startswith("flights.") and entry.along not in plan:
+                raise InputError(f"{kind} {name}: along {entry.along}, which is not swept")
+            if room.LAYOUTS[entry.compare or "settings"] is figures.lines:
+                with told_with(f"{kind} {name}"):
+                    figures.axes_of(entry, plan)
     headline = study.definition.outputs.headline
     if headline and measure(headline).kind not in ("", study.kind):
         raise InputError(f'[outputs] headline: "{headline}" is no measure of {study.kind}')
