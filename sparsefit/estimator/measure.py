@@ -223,6 +223,7 @@ def measure_flow(
         goodness = Goodness.of(there, alone)
         excess, white = math.inf, goodness.whiteness > 1e-6 or there.exact or there.pushed
         if not (white and goodness.r_squared > EXPLAINED and proposal.residual < MOSTLY):
+            least = max(least, turbulent())  # a flow less likely than that is not detected
             above = there.log_likelihood - turbulent() - math.log(len(prepared.search.lobes) or 1)
             excess = 2.0 * (above + math.log(FALSE_ALARM)) - len(there.model.pattern.names)
         followed = not prepared.too_fast(there.model.pattern.length_scale)
