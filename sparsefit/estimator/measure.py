@@ -236,7 +236,7 @@ def measure_flow(
             names,
             shapes=shapes,
             least=least,
-            inside=lambda own: own.model.pattern.is_near(proposal.wavevectors, around),
+            inside=lambda own: own.is_near(proposal.wavevectors, around),
         )
         return found, excess
 

@@ -104,7 +104,7 @@ def diagnose(
     *,
     shapes: bool = True,
     least: float = -math.inf,
-    inside: Callable[[Posterior], bool] = lambda posterior: True,
+    inside: Callable[[StreamPattern], bool] = lambda pattern: True,
 ) -> Diagnosis:
     """Find causes, disturbances and a freer shape, one after another, from a flow's optimum.
 
@@ -114,7 +114,7 @@ def diagnose(
         freed: names of `FREEDOMS` that are free already.
         shapes: whether a freer shape may be the answer; else it is a misfit.
         least: the log-likelihood without which a diagnosis is of no use.
-        inside: whether an optimum is that of the proposed flow.
+        inside: whether waves are those of the proposed flow.
     """
     first = believed = posterior
     suspects, closed, wandering = list[Suspect](), set(freed), 0.0
@@ -125,8 +125,12 @@ def diagnose(
     def refit(
         models: Sequence[Model], near: Posterior, least: float = -math.inf, *, last: bool = False
     ) -> Posterior | None:
-        there = fitted(logs, models, near, LAST if last else PASSES, least, rough=not last)
-        return there if there is not None and usable(there) and inside(there) else None
+        there = fitted(
+            logs, models, near, LAST if last else PASSES, least, rough=not last, inside=inside
+        )
+        if there is None or not (usable(there) and inside(there.model.pattern)):
+            return None
+        return there
 
     def attempt(trials: Iterable[Trial]) -> None:
         """Fit trials, but those that come nowhere near the best; keep the plausible ones."""
@@ -377,12 +381,13 @@ def fitted(
     least: float = -math.inf,
     *,
     rough: bool = True,
+    inside: Callable[[StreamPattern], bool] | None = None,
 ) -> Posterior | None:
     """The posterior of models of logs, all their levels estimated.
 
     start: a nearby optimum whose tracks and levels are the start. Without one, or with a process
     that it has not, the levels of the sensors start from the logs' own noise: white process noise
-    in place of a coloured one takes their share too. passes, least, rough: as in `measure`.
+    in place of a coloured one takes their share too. passes, least, rough, inside: as in `measure`.
     """
     starts = list(models)
     processes = 0 if start is None else len(start.model.disturbance.processes)
@@ -392,7 +397,7 @@ def fitted(
             levels[LEVELS[0]] = BESIDE * model.disturbance.acceleration
             starts[number] = replace(model, disturbance=model.disturbance.at(levels))
     try:
-        return measure(logs, starts, start, passes, least, rough=rough)
+        return measure(logs, starts, start, passes, least, rough=rough, inside=inside)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
         return None
 

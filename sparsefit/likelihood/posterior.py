@@ -14,7 +14,7 @@ holds. The mean score multiplies the covariance: a sandwich whose middle is esti
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.nodes import FlightLog
+from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.smoother import PASSES, Step, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
@@ -283,6 +284,7 @@ def measure(
     least: float = -math.inf,
     *,
     rough: bool = False,
+    inside: Callable[[StreamPattern], bool] | None = None,
 ) -> Posterior:
     """Find the maximum of the likelihood of logs that share the free parameters, and its levels.
 
@@ -296,6 +298,7 @@ def measure(
         least: the log-likelihood without which the posterior is of no use: a search that falls
             behind is given up.
         rough: whether steps are as long as noise hides (`longest_step`).
+        inside: whether waves are those sought: a search that leaves them is given up.
 
     Raises:
         InputError: if the log has gaps too long, or few rows of it do not hold the waves.
@@ -335,7 +338,7 @@ def measure(
                 Leg.of(*pair, 1, (leg.nodes.time, leg.track), rough=rough)
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
-        legs, step, reason = climbed(legs, floors, hold, passes, least)
+        legs, step, reason = climbed(legs, floors, hold, passes, least, inside)
     value = step.reached - step.gain * bool(reason)  # a step that was not taken gains nothing
     value = value if math.isfinite(value) else -math.inf
     seen = max((float(known[0, 0]) for known in step.levels if known.size), default=0.0)

@@ -13,13 +13,14 @@ nothing takes the others with it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
 from sparsefit.likelihood.nodes import Smoothed
+from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.reference import ELEMENTS
 from sparsefit.likelihood.trellis import Leg, Pass
 
@@ -137,6 +138,7 @@ def climbed(
     hold: int,
     most: int = PASSES,
     least: float = -math.inf,
+    inside: Callable[[StreamPattern], bool] | None = None,
 ) -> tuple[tuple[Leg, ...], Step, str]:
     """Iterate passes until the likelihood has converged.
 
@@ -147,6 +149,7 @@ def climbed(
         most: passes.
         least: the log-likelihood asked: a search is given up that does not come there by `HOPE`
             times what is predicted of a pass or, far from there, its last two rises.
+        inside: whether waves are those sought: a search is given up that leaves them.
 
     Returns:
         The logs at the optimum with their smoothed passes, the last step, and the reason why the
@@ -194,6 +197,9 @@ def climbed(
             legs = best[0].moved(best[1], share * 0.5**halvings, best[2])
             if "latency" in legs[0].model.names:  # nodes move with it
                 legs = tuple(leg.again(leg.stride) for leg in legs)
+            if inside and not inside(legs[0].model.pattern):
+                reason = "the search leads to another flow"
+                break
     else:
         reason = f"not at the maximum after {most} passes"
     if best is None:
