@@ -152,6 +152,7 @@ class Design:
         return rows - np.multiply.outer(self.direction, along)
 
     @cached_property
+    @np.errstate(over="ignore", invalid="ignore")  # refused by what the sums become
     def squares(self) -> Array:
         """The squares of the columns' norms (k,), in the units of theta, finite or not.
 
@@ -159,13 +160,12 @@ class Design:
         rounding.
         """
         total = np.zeros(self.shape[1])
-        with np.errstate(over="ignore", invalid="ignore"):  # refused by what the sum becomes
-            for _, block in self.blocks():
-                if self.kind == "dense":
-                    total += np.einsum("ij,ij->j", block, block)
-                else:
-                    square = block.multiply(block) if self.kind == "sparse" else block**2
-                    total += _array(square.sum(axis=0)).ravel()
+        for _, block in self.blocks():
+            if self.kind == "dense":
+                total += np.einsum("ij,ij->j", block, block)
+            else:
+                square = block.multiply(block) if self.kind == "sparse" else block**2
+                total += _array(square.sum(axis=0)).ravel()
         if self.direction is None:
             return total
         rest = np.maximum(total - self.means**2, 0.0)

@@ -302,6 +302,7 @@ def _row_factors(
     return roots, (np.ones(count) if roots is None else roots) / np.sqrt(count)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # refused by what the sums become
 def _adjusted(raw: Array, weight: Array | None, intercept: bool) -> dict[str, Any]:
     """The fields of a problem with sample weights and an intercept, for the target ``raw``."""
     roots, direction = _row_factors(weight, intercept, len(raw))

@@ -137,11 +137,13 @@ def columns(**changed):
 @pytest.mark.parametrize("layout", [np.ascontiguousarray, np.asfortranarray])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
 def test_a_column_that_is_not_finite_is_named(value, layout):
-    theta = layout(columns(c=value, d=value))
-    with pytest.raises(InputError, match=r"'c' \(and 1 more\) holds NaN.* above 1e\+140"):
-        RegressionProblem.from_arrays(theta, np.ones(ROWS), names=list("abcd"))
-    with pytest.raises(InputError, match=r"column '1' of the target holds NaN"):
-        RegressionProblem.from_arrays(np.ones((ROWS, 1)), theta[:, 1:3])
+    theta, named = layout(columns(c=value, d=value)), {"names": list("abcd")}
+    part, rise = sparse.csc_array(theta * [0, 0, 1, 1]), np.arange(float(ROWS))[:, None]
+    for rows, intercept in ((theta, False), (theta, True), (part, True)):
+        with pytest.raises(InputError, match=r"'c' \(and 1 more\) holds NaN.* above 1e\+140"):
+            RegressionProblem.from_arrays(rows, np.ones(ROWS), intercept=intercept, **named)
+        with pytest.raises(InputError, match=r"column '1' of the target holds NaN"):
+            RegressionProblem.from_arrays(rise, theta[:, 1:3], intercept=intercept)
 
 
 def test_only_a_column_that_is_too_large_itself_is_refused():
