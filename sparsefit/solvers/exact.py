@@ -359,7 +359,6 @@ NEAREST = 1e-11  # of the largest penalty: the smallest t that is tried,
 DESCENT = 1e-3  # or by descent, which takes minutes to fit exactly: points below are incomplete
 SETTLED = 1e-11  # relative excess of t^2 that ends the search
 ROUNDING = 1e-15  # of (y + |V|_1)^2: what rho^2 from Z'Z may be off by, which ends it too
-STEP = 1e-4  # relative step in t over which the derivative of rho^2 is taken
 ROUNDS = 60  # of which a tenth may go by before squares that cannot be solved end a search
 
 
@@ -368,56 +367,56 @@ def _root_path(
 ) -> Points:
     """The points by a safeguarded search for each root x = t^2 of x = (alpha/y)^2 rho^2(t).
 
-    t/rho(V(t)) does not decrease in t, and between events rho^2 is linear in t^2, so that Newton's
-    method on t^2 ends once the events are right. A bracket keeps it safe. Below some penalty an
-    optimum fits the data exactly, and is the limit for t -> 0: tried where no root is known above.
+    t/rho(V(t)) does not decrease in t, and between events rho^2 is linear in t^2, so that secants
+    end once the events are right. A bracket keeps them safe. Below some penalty an optimum fits the
+    data exactly, and is the limit for t -> 0: tried where no root is known above, or no residual
+    seems to remain. Of all answers that with the least objective is returned.
     """
     level = float(np.sqrt(np.einsum("iq,iq->", target, target) / design.samples)) or 1.0
-    inner = replace(penalty, loss=SQUARES)
-    slope = (alphas / level) ** 2
-    if not cross.any():
-        return Points.zeros(len(alphas), cross, "zero")
+    inner, slope = replace(penalty, loss=SQUARES), (alphas / level) ** 2
+    points, words = Points.zeros(len(alphas), cross), "zero"
     largest = float(penalty.dual_norm(cross).max())
-    least = ((DESCENT if _descends(design, inner) else NEAREST) * largest) ** 2
+    nearest = DESCENT if _descends(design, inner) else NEAREST
+    least, is_open = (nearest * largest) ** 2, np.full(len(alphas), bool(cross.any()))
     x = np.maximum(np.minimum(alphas, largest) ** 2, least)
-    low, high = np.full(len(x), least), x.copy()
-    floor, complete = np.zeros(len(x), bool), np.zeros(len(x), bool)
-    is_open, steps = np.ones(len(x), bool), np.zeros(len(x), np.intp)
-    values, words = np.zeros((len(alphas), *cross.shape)), ""
+    low, high, last, before = np.full(len(x), least), x.copy(), x.copy(), np.zeros(len(x))
+    lowest, is_tried = np.full(len(x), np.inf), np.zeros(len(x), bool)
     for count in range(ROUNDS):
         at = np.flatnonzero(is_open)
+        at = at[np.argsort(-x[at], kind="stable")]
         if not len(at):
             break
-        wanted = np.sqrt(np.concatenate([x[at], x[at] * (1.0 - STEP) ** 2]))
-        order = np.argsort(-wanted, kind="stable")
-        points = exact_path(design, target, inner, wanted[order], cross=cross)
-        back = np.argsort(order)
-        here, there = np.split(points.weights[back], 2)
-        steps[at] += points.steps.sum()
-        values[at], words, solved = here, points.words, points.complete[back][: len(at)]
-        size = penalty.norm(here)
-        misfit = np.array([np.square(target - design.predict(v)).sum() for v in here])
+        squares, here = exact_path(design, target, inner, np.sqrt(x[at]), cross=cross), x[at]
+        values, words, solved = squares.weights, f"{squares.words}", squares.complete
+        points.steps[at] += squares.steps.sum()
+        misfit = np.array([np.square(target - design.predict(v)).sum() for v in values])
         misfit /= design.samples
-        rate = np.maximum((penalty.norm(there) - size) / (STEP * np.sqrt(x[at])), 0.0)
-        excess, bent = x[at] - slope[at] * misfit, 1.0 - slope[at] * rate
-        newton = np.where(bent > 0, x[at] - excess / np.where(bent > 0, bent, 1.0), 0.0)
-        off = ROUNDING * (level + np.abs(here).sum(axis=(1, 2))) ** 2
-        tried = floor[at] | (x[at] <= least)
-        high[at] = np.where(excess >= 0, x[at], high[at])
-        low[at] = np.where(excess <= 0, x[at], low[at])
-        near = np.abs(excess) <= SETTLED * x[at]
-        hidden = (misfit <= 2.0 * off) & ~near  # perhaps no residual remains: look there
-        seen = ~hidden | floor[at] & (np.abs(excess) <= STEP * x[at])
-        near |= (np.abs(excess) <= slope[at] * off) & (newton > least) & seen
+        objective = level * np.sqrt(misfit) + alphas[at] * penalty.norm(values)
+        better = objective <= lowest[at] * (1.0 + SETTLED)
+        points.weights[at[better]] = values[better]
+        lowest[at] = np.minimum(objective, lowest[at])
+        excess, off = (
+            here - slope[at] * misfit,
+            ROUNDING * (level + np.abs(values).sum(axis=(1, 2))) ** 2,
+        )
+        is_tried[at] |= here <= least
+        high[at] = np.where(excess >= 0, here, high[at])
+        low[at] = np.where(excess <= 0, here, low[at])
+        rise = np.where(here != last[at], excess - before[at], 1.0)
+        rise /= np.where(here != last[at], here - last[at], 1.0)
+        secant = here - excess / np.where(rise > 0, rise, np.nan)
+        last[at], before[at] = here, excess
+        hidden = (misfit <= 2.0 * off) & ~is_tried[at]  # perhaps no residual remains
+        is_near = (np.abs(excess) <= SETTLED * here) | (
+            (np.abs(excess) <= slope[at] * off) & ~hidden
+        )
         # No slope, which at a bend is of no use, leads below where the root is known to be above.
-        beyond = ((newton <= least) & (low[at] <= least) | hidden) & ~tried
-        inside = (newton > low[at]) & (newton < high[at])
-        following = np.where(inside, newton, np.sqrt(low[at]) * np.sqrt(high[at]))
-        gone = (x[at] <= least) & (excess >= 0)
-        narrow = high[at] <= low[at] * (1.0 + SETTLED)
-        narrow |= ~solved & (hidden | (10 * count >= ROUNDS))
-        x[at] = np.where(near, x[at], np.where(beyond, least, following))
-        floor[at] = tried
-        complete[at] = (near | narrow) & ~gone & solved
-        is_open[at] = ~(near | narrow | gone)
-    return Points(values, complete, steps, f"root of the scaled path; {words}")
+        beyond = ~is_tried[at] & (hidden | (secant <= least))
+        inside = (secant > low[at]) & (secant < high[at])
+        x[at] = np.where(inside, secant, np.sqrt(low[at]) * np.sqrt(high[at]))
+        x[at] = np.where(beyond, least, x[at])
+        gone = (here <= least) & (excess >= 0)
+        narrow = (high[at] <= low[at] * (1.0 + SETTLED)) | ~solved & (10 * count >= ROUNDS)
+        points.complete[at] = (is_near | narrow) & ~gone & solved
+        is_open[at] = ~(is_near | narrow | gone)
+    return replace(points, words=f"root of the scaled path; {words}")
