@@ -13,7 +13,7 @@ Iterative kernels solve roughly first, which suffices to extend J, unless few of
 
 The square-root loss has the optimality conditions of the squares at the penalty t = a rho/y, rho
 the residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): `_root_path` solves for t. Huber's
-loss is the squares with one more column for each row, an outlier (`outliers`).
+loss is squares on the rows within its knot, by turns (`outliers`).
 Sources: Johnson and Guestrin, "Blitz: a principled meta-algorithm for scaling sparse optimization"
 (ICML 2015).
 """
@@ -21,7 +21,6 @@ Sources: Johnson and Guestrin, "Blitz: a principled meta-algorithm for scaling s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -147,8 +146,7 @@ def exact_path(
     if isinstance(penalty.loss, RootSquares):
         return _root_path(design, target, penalty, alphas, cross)
     if np.isfinite(penalty.loss.clip):
-        squares = partial(exact_path, design, penalty=replace(penalty, loss=SQUARES))
-        return outlier_path(design, target, cross, penalty, alphas, squares)
+        return outlier_path(design, target, cross, penalty, alphas)
     if isinstance(penalty, SquaredNorm):
         return _ridge_path(design, target, penalty, alphas, cross)
     if not (isinstance(penalty, BoundedValues) and penalty.is_bounded):
