@@ -22,8 +22,8 @@ from sparsefit.solvers.kernels import Points, path_on_gram
 
 START = 200  # columns in play at first
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that lets no column join
-ROUNDS = 100  # steps at one penalty
-LEAST, FIRST = 1e-12, 1e-2  # damping of unit columns, and where the objective would rise
+ROUNDS = 150  # steps at one penalty
+LEAST, FIRST = 1e-12, 1e-6  # damping of unit columns, and where the objective would rise
 
 
 def outlier_path(
@@ -81,21 +81,22 @@ def _optimum(
     (height, pull, inside), damping = at(values), LEAST
     for count in range(ROUNDS):
         part = rows[inside]
-        if loss.direction is not None and inside.any():
-            along = loss.direction[inside] / np.linalg.norm(loss.direction[inside])
-            part = part - np.multiply.outer(along, along @ part)
+        if loss.direction is not None and (along := loss.direction[inside]).any():
+            part = part - np.multiply.outer(along / (along @ along), along @ part)
         square = part.T @ part / samples
         square.flat[:: len(square) + 1] += damping
         cross = square @ values + rows.T @ pull / samples
         size = float(np.vdot(pull, pull)) / samples or 1.0
-        moved = path_on_gram(square, cross, penalty, ours, size).weights[0]
-        after = at(moved)
-        if not after[0] <= height * (1.0 + 1e-15):
-            damping = max(10.0 * damping, FIRST)
-            continue
-        same = np.array_equal(inside, after[2])
-        error, values, (height, pull, inside) = damping * np.abs(moved - values).max(), moved, after
-        if same and error <= 1e-12 * alpha:
-            return values, True, count
-        damping = max(0.1 * damping, LEAST)
+        path = path_on_gram(square, cross, penalty, ours, size)
+        moved = path.weights[0]
+        after, solved = at(moved), bool(path.complete[0])
+        if after[0] <= height * (1.0 + 1e-15):
+            same = np.array_equal(inside, after[2])
+            error = damping * float(np.abs(moved - values).max())
+            values, (height, pull, inside) = moved, after
+            if solved and same and error <= 1e-12 * alpha:
+                return values, True, count
+        else:
+            solved = False
+        damping = max(0.3 * damping, LEAST) if solved else max(4.0 * damping, FIRST)
     return values, False, ROUNDS
