@@ -134,21 +134,19 @@ def columns(**changed):
     return theta
 
 
-@pytest.mark.parametrize("layout", [np.ascontiguousarray, np.asfortranarray])
+@pytest.mark.parametrize("layout", [np.ascontiguousarray, np.asfortranarray, sparse.csc_array])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
 def test_a_column_that_is_not_finite_is_named(value, layout):
-    theta, named = layout(columns(c=value, d=value)), {"names": list("abcd")}
-    part, rise = sparse.csc_array(theta * [0, 0, 1, 1]), np.arange(float(ROWS))[:, None]
-    for rows, intercept in ((theta, False), (theta, True), (part, True)):
+    theta, rise, labels = columns(c=value, d=value) * [0, 0, 1, 1], np.c_[:ROWS], list("abcd")
+    for intercept in (False, True):
         with pytest.raises(InputError, match=r"'c' \(and 1 more\) holds NaN.* above 1e\+140"):
-            RegressionProblem.from_arrays(rows, np.ones(ROWS), intercept=intercept, **named)
+            RegressionProblem.from_arrays(layout(theta), rise, None, labels, intercept=intercept)
         with pytest.raises(InputError, match=r"column '1' of the target holds NaN"):
             RegressionProblem.from_arrays(rise, theta[:, 1:3], intercept=intercept)
 
 
 def test_only_a_column_that_is_too_large_itself_is_refused():
-    size = 0.9e140  # each norm is in range, that of all columns is not
-    theta = columns(a=size, b=size, c=size, d=size)
+    theta = columns(**dict.fromkeys("abcd", 0.9e140))  # each norm is in range, that of all is not
     assert RegressionProblem.from_arrays(theta, np.ones(ROWS)).columns == 4
 
 
