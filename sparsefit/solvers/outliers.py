@@ -22,7 +22,7 @@ from sparsefit.solvers.kernels import Points, path_on_gram
 
 START = 200  # columns in play at first
 FEASIBLE = 3e-10  # relative excess of a correlation over alpha that lets no column join
-ROUNDS = 150  # steps at one penalty
+ROUNDS = 300  # steps at one penalty
 LEAST, FIRST = 1e-12, 1e-6  # damping of unit columns, and where the objective would rise
 
 
