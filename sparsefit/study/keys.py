@@ -175,8 +175,6 @@ class ProblemKeys:
     name: str = ""
     flights: Mapping[str, object] = key(dict)
     file: str = ""
-    target: tuple[str, ...] = key(())
-    intercept: bool = False
     dataset: DataSet | None = None
     generator: Literal["correlated", "wide", "sparse", "grouped"] | None = None
     test: str = ""

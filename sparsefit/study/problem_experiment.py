@@ -56,7 +56,7 @@ ON = " on "  # between the code and the machine
 OURS = "sparsefit"
 KINDS: dict[str, tuple[str, ...]] = {  # of [[problems]] -> the keys beside it, `name` and `alter`
     "flights": ("library",),
-    "file": ("target", "intercept", "test"),
+    "file": ("test",),
     "dataset": (),
     "generator": ("count", *schema.names_of(Generator)),
 }
@@ -85,12 +85,10 @@ class ProblemSource:
         """
         try:
             data = self.make().real()
-            if self.keys.intercept:
-                data = data.centred()
             if self.alter != "as it is":
                 random = np.random.default_rng(stream(self.seed, 0, 300))
                 data = data_sets.altered(self.alter, data, random)
-            RegressionProblem.from_arrays(data.theta, data.target, data.groups, names=data.names)
+            RegressionProblem.from_arrays(data.theta, data.target, data.groups)
         except InputError as error:
             raise InputError(f"problem {self.name!r}: {error}") from None
         return data
@@ -248,17 +246,14 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
     keys, rest = schema.taken(ProblemKeys, entry, place)
     name = series = keys.name or str(entry[kind])
     folder, beside = Path(place.file).parent, None
-    more = [*keys.target, *["intercept"] * keys.intercept] or None
     arrays: list[tuple[Callable[[], data_sets.Data], Any]]  # and what determines them
     if kind == "file":
-        schema.distinct(keys.target or ("",), place.at("target"))
         path = folder / keys.file
-        given: dict[str, Any] = {"path": path, "target": keys.target}
-        data = made(data_sets.read_data, given, place.at("file"))
+        data = made(data_sets.read_data, {"path": path}, place.at("file"))
         name, arrays = keys.name or path.stem, [(lambda: data, digest_of(path))]
         if keys.test:
             path = folder / keys.test
-            given |= {"path": path, "like": data}
+            given = {"path": path, "like": data}
             data = replace(data, test=made(data_sets.read_data, given, place.at("test")))
             beside = digest_of(path)
     elif kind == "dataset":
@@ -282,7 +277,7 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
         numbered_name = f"{name} {number}" if len(arrays) > 1 else name
         for alter in keys.alter:
             own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
-            whole = canonical_json([identity, more, beside, alter, seed])
+            whole = canonical_json([identity, None, beside, alter, seed])
             yield ProblemSource(own, series, make, whole, alter, seed, keys)
 
 

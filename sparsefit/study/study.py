@@ -251,10 +251,8 @@ class Study:
         settings = dict(contender.settings)
         if plan.fractions and hasattr(contender.settled, "alpha_fraction"):
             settings["alpha_fraction"] = "auto"
-        centred = any(source.keys.intercept for source in plan.problems)
-        settings |= {"intercept": True} if centred else {}
         words = "".join(f", {name}={value!r}" for name, value in settings.items())
-        return f"sf.fit({'theta, target' if centred else 'problem'}, {contender.backend!r}{words})"
+        return f"sf.fit(problem, {contender.backend!r}{words})"
 
     @property
     def _titles(self) -> dict[str, str]:
