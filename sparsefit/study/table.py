@@ -249,63 +249,35 @@ class Table:
         Nothing is cut: what is too long takes several lines, and columns that do not fit follow in
         a further block behind the names.
         """
-        texts, align = self.texts(most), ["<" if words else ">" for words in self.is_text]
-        names = max(1, min([*align, ">"].index(">"), len(self.columns) - 1))
-        heads = [column.heading for column in self.columns]
-        columns = zip(heads, *texts, strict=True)
-        sizes = [
-            max(map(len, (*wrapped(head, 28, "  ").splitlines(), *cells)))
-            for head, *cells in columns
-        ]
-        room, shortest_first = int(0.6 * width), sorted(range(names), key=sizes.__getitem__)
-        for place, sharers in zip(shortest_first, range(names, 0, -1), strict=True):
-            sizes[place] = min(sizes[place], max(room // sharers - 2, 12))
-            room -= sizes[place] + 2
-        free, taken = max(width - sum(size + 2 for size in sizes[:names]), 12), 0
-        blocks = [list(range(names))]
-        places = range(names, len(sizes))
-        for _, run in itertools.groupby(places, lambda at: self.columns[at].group or str(at)):
-            group = list(run)
-            for at in group:
-                longest_word = max(map(len, self.columns[at].group.split()), default=0)
-                sizes[at] = min(max(sizes[at], longest_word), free)
-            span = sum(sizes[at] + 2 for at in group) - 2
-            for at in group:  # together, if they fit
-                if taken and taken + (span if at == group[0] else sizes[at]) > free:
-                    taken = 0
-                    blocks.append(list(range(names)))
-                taken += sizes[at] + 2
-                blocks[-1].append(at)
-        printed = list[str]()
-        for block in blocks:
-            widths, signs = [sizes[at] for at in block], [align[at] for at in block]
-            runs = itertools.groupby(block, key=lambda at: self.columns[at].group)
-            spans = [(group, sum(sizes[at] + 2 for at in own) - 2) for group, own in runs]
-            above = [wrapped(group, span).splitlines() for group, span in spans]
-            lines = _lines(above, [span for _, span in spans], "^" * len(spans))
-            for place, row in enumerate((heads, *texts)):
-                cells = [wrapped(row[at], sizes[at], "  ").splitlines() for at in block]
-                lines += _lines(cells, widths, signs, place)
-            printed.append("\n".join(lines))
+        is_text, texts = self.is_text, self.texts(most)
+        names = max(1, min([*is_text, False].index(False), len(self.columns) - 1))
+        room = max(int(0.6 * width) // names - 2, 12)
+        rows = [
+            [wrapped(text, room if at < names else most_of_cell, "  ").split("\n")
+             for at, text in enumerate(row)]
+            for row, most_of_cell in ((self.heads, 16), *((row, 28) for row in texts))
+        ]  # fmt: skip
+        sizes = [max(len(line) for cell in cells for line in cell)
+                 for cells in zip(*rows, strict=True)]  # fmt: skip
+        blocks = list[list[int]]()
+        for at in range(names, len(sizes)):
+            if not blocks or sum(sizes[own] + 2 for own in (*blocks[-1], at)) > width + 2:
+                blocks.append(list(range(names)))
+            blocks[-1].append(at)
+        printed = [
+            "\n".join(
+                "  ".join(f"{text:{'<' if is_text[at] else '>'}{sizes[at]}}"
+                          for at, text in zip(block, line, strict=True)).rstrip()
+                for row in rows
+                for line in itertools.zip_longest(*(row[at] for at in block), fillvalue="")
+            )
+            for block in blocks or [list(range(names))]
+        ]  # fmt: skip
         notes = [wrapped(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, *printed, *notes]) + "\n"
 
     def __str__(self) -> str:
         return self.to_text()
-
-
-def _lines(
-    cells: Sequence[list[str]], widths: Sequence[int], align: Sequence[str], top: int = 0
-) -> list[str]:
-    """Return the lines of a row of cells of several lines each, `top` or bottom aligned."""
-    highest = max(map(len, cells))
-    padded = [cell if top else [""] * (highest - len(cell)) + cell for cell in cells]
-    return [
-        "  ".join(
-            f"{text:{sign}{width}}" for text, sign, width in zip(line, align, widths, strict=True)
-        ).rstrip()
-        for line in itertools.zip_longest(*padded, fillvalue="")
-    ]
 
 
 def _tex(text: str) -> str:
