@@ -21,8 +21,7 @@ FLIGHT = Option(
     "glider; several are flights through one flow, in one frame and by one clock", "FLIGHT",
     extra={"nargs": "+"},
 )  # fmt: skip
-PLOT = Option("--plot", "draw track, cells, weights, residual and its spectrum: .png, .svg or .pdf",
-              "FILE")  # fmt: skip
+PLOT = Option("--plot", "draw track, cells, weights and residual: .png, .svg or .pdf", "FILE")
 LOG = (
     Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
            "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",

@@ -13,7 +13,7 @@ from sparsefit.arrays import Array
 from sparsefit.flight import Flight
 from sparsefit.flight.waves import FlowField
 from sparsefit.logs.checks import gaps_of
-from sparsefit.plot.style import COLOURS, GREY, labels, logarithmic, panels, styled, wrapped
+from sparsefit.plot.style import COLOURS, GREY, labels, panels, styled, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -112,7 +112,7 @@ def draw_estimate(
     title: str,
     truth: Sequence[float] = (),
 ) -> Figure:
-    """Return the tracks over the flow, the weights, and the residual with its spectrum.
+    """Return the tracks over the flow, the weights, and the residual.
 
     Args:
         estimate: of these flights, by this estimator, whose derivative gives the residual.
@@ -120,7 +120,10 @@ def draw_estimate(
         title: the first line over the figure.
         truth: the true length scales [m], if known.
     """
-    figure, ((track, weights), (residual, power)) = panels(2, 2, height=5.9)
+    figure, ((track, weights), (residual, corner)) = panels(2, 2, height=5.9)
+    corner.remove()
+    grid: Any = residual.get_gridspec()
+    residual.set_subplotspec(grid[1, :])
     flow = estimate.flow
     drift = estimate.drift or (0.0, 0.0)
     shades = draw_map(track, flow, flights, estimate.length_scale, drift)
@@ -133,7 +136,6 @@ def draw_estimate(
     draw_weights(weights, estimate, truth)
     samples, air, less = along_track(estimate, estimator, flights[0])
     draw_residual(residual, samples, air, less, " of the first flight" * (len(flights) > 1))
-    draw_spectrum(power, samples, air, less, estimate.length_scale)
     figure.suptitle(labels([title], 90)[title] + f"\n{wrapped(str(estimate), 100)}", fontsize=9)
     return figure
 
@@ -202,55 +204,3 @@ def draw_residual(
     axes.legend(loc="upper right", ncols=2)
     axes.set_xlabel(f"time [{unit}]")
     axes.set_ylabel(f"{words} [m/s]")
-
-
-def draw_spectrum(
-    axes: Axes, samples: Samples, air: Array, less: Array | None, length_scale: float
-) -> None:
-    """Draw the spectra of the air velocity and of its residual.
-
-    The residual of a correct flow is as flat as the sensor noise; the dotted line is the frequency
-    at which the vehicle crosses cells, speed over 2 L.
-    """
-    axes.set_title("spectrum")
-    piece = max(np.split(np.arange(len(air)), np.flatnonzero(gaps_of(samples.time)) + 1), key=len)
-    if len(piece) < 64:
-        axes.text(0.5, 0.5, "too few samples", transform=axes.transAxes, ha="center")
-        axes.set_axis_off()
-        return
-    step = float(np.median(np.diff(samples.time[piece])))
-    frequency, whole = spectrum(air[piece], step)
-    axes.loglog(frequency, whole.sum(axis=1), color=GREY, lw=0.9, label="velocity of the air")
-    lowest = 1e-5 * float(whole.max())
-    if less is not None:
-        rest = spectrum(less[piece], step)[1]
-        lowest = min(lowest, 0.1 * float(np.median(rest)))  # of rounding
-        for place, name in enumerate("xy"):
-            axes.loglog(frequency, rest[:, place], color=COLOURS[place], lw=0.8,
-                        label=f"residual {name}")  # fmt: skip
-    meets = math.sqrt(float(np.mean(np.sum(samples.velocity**2, axis=1)))) / (2.0 * length_scale)
-    if frequency[0] < meets < frequency[-1]:
-        axes.axvline(meets, color=COLOURS[2], ls=":", lw=1.6, label="cells")
-    axes.set_ylim(max(axes.get_ylim()[0], lowest))
-    axes.set_xlim(frequency[0], frequency[-1])
-    logarithmic(axes.xaxis, *axes.get_xlim())
-    logarithmic(axes.yaxis, *axes.get_ylim())
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel("power [(m/s)²/Hz]")
-    axes.legend(loc="best", **OPAQUE)
-
-
-def spectrum(values: Array, step: float) -> tuple[Array, Array]:
-    """Return frequencies (f,) [Hz] and the power (f, c) of even samples (m, c), in their unit²/Hz.
-
-    One-sided, by Welch's method, Hann windows of which half lies in the next. The sum over
-    frequencies times their step is the variance.
-
-    Args:
-        step: between the samples [s].
-    """
-    from scipy.signal import welch
-
-    width = max(2 * len(values) // 9, 32)  # eight segments
-    frequency, power = welch(values, 1.0 / step, nperseg=width, axis=0)
-    return np.asarray(frequency[1:]), np.asarray(power[1:])
