@@ -12,7 +12,6 @@ its channel itself says so before, by SIGTERM.
 """
 
 import ctypes
-import fcntl
 import os
 import pickle
 import select
@@ -48,8 +47,10 @@ def main() -> None:
                 _end(os.kill, child)
             os.waitpid(-1, 0)
     if hangup(0) and not closing.is_set():
+        import shutil  # takes longer than a worker's start
+
         for folder in sys.argv[1:]:
-            remove_abandoned(folder, fcntl.LOCK_EX)
+            shutil.rmtree(folder, ignore_errors=True)
     code = os.waitstatus_to_exitcode(status)
     os._exit(code if code >= 0 else 128 - code)
 
@@ -77,21 +78,6 @@ def children_of(process: int) -> list[int]:
         for path in Path(f"/proc/{process}/task").glob("*/children"):
             children += map(int, path.read_text(encoding="ascii").split())
     return children
-
-
-def remove_abandoned(
-    folder: str | os.PathLike[str], lock: int = fcntl.LOCK_EX | fcntl.LOCK_NB
-) -> None:
-    """Remove a folder whose lock nobody has, or any more: that of a process which was killed."""
-    with suppress(OSError):
-        place = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        try:
-            fcntl.flock(place, lock)
-            import shutil  # takes longer than a worker's start
-
-            shutil.rmtree(folder, ignore_errors=True)
-        finally:
-            os.close(place)
 
 
 def hangup(patience: float | None = None) -> bool:

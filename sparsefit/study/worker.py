@@ -13,7 +13,6 @@ has started. A desk is the object whose methods are requested.
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import json
 import math
@@ -52,7 +51,6 @@ ONE_THREAD = dict.fromkeys(
 START_SECONDS = 180.0
 STARTS = 5  # in a row that may fail: at fewer, memory may be free again later
 TICK = 0.5  # seconds between looks at the clock, at most
-SCRATCH = "sparsefit-run-"
 GARBLED = "the message channel of the worker process was written into"
 
 
@@ -320,22 +318,14 @@ class Crew:
 def scratch() -> Iterator[Path]:
     """A folder for the files of a run and of its workers, which is removed at the end.
 
-    It is locked until this process ends; where that is killed, `guardian` removes the folder. Those
-    of runs that were killed with their guardians are removed here.
+    Where the run is killed, `guardian` removes it.
     """
     with refusing("the folder of temporary files"):
-        for other in Path(tempfile.gettempdir()).glob(f"{SCRATCH}*"):
-            guardian.remove_abandoned(other)
-        new = Path(tempfile.mkdtemp(prefix="sparsefit-new-"))
-        place = os.open(new, os.O_RDONLY)
-        with suppress(OSError):  # of a file system without such locks
-            fcntl.flock(place, fcntl.LOCK_EX)
-        home = new.rename(new.with_name(new.name.replace("sparsefit-new-", SCRATCH)))
+        home = Path(tempfile.mkdtemp(prefix="sparsefit-run-"))
     try:
         yield home
     finally:
         shutil.rmtree(home, ignore_errors=True)
-        os.close(place)
 
 
 def cpu_seconds(pid: int) -> float:
