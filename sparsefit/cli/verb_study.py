@@ -231,9 +231,8 @@ def _compared(first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str],
 
     limit = comparing.TOLERANCE if tolerance is None else tolerance
     both = comparing.compare(first, second, names, non_negative("--tolerance", limit))
-    tables = (table for table in both.tables.values() if len(table.frame))
-    lines = [*(table.to_text(terminal_width()) for table in tables), both.sentence]
-    return Reply(both.record(), lines, int(both.differs))
+    lines = [both.table.to_text(terminal_width())] if len(both.changes) else []
+    return Reply(both.record(), [*lines, both.sentence], int(both.differs))
 
 
 def merge(args: argparse.Namespace) -> Reply:
