@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> Reply:
     else:
         usage = f"use it: {study.call(chosen.candidate)}"
     listed = (f"- {line}" for line in lines(selection, checked))
-    closing = f"every candidate, regime and time: {path}, or evidence.html beside it"
+    closing = f"every candidate, regime and time: {path}"
     said = [headline(selection), *listed, closing, usage]
     return Reply(record, filled(said), int(chosen is None))
 

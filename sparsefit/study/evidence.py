@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from sparsefit.codec import finite_or_none
 from sparsefit.plot.style import GREY, logarithmic, styled, wrapped
 from sparsefit.study.figures import Curve, Panel, Picture, drawn
 from sparsefit.study.measures import factors
-from sparsefit.study.page import drawing, files_of, joined, linked, to_html
+from sparsefit.study.page import files_of, joined, linked
 from sparsefit.study.selection import Selection, headline, lines, verdict
 from sparsefit.study.table import Column, Row, Table
 from sparsefit.study.tables import FAILURES, Cells
@@ -23,6 +22,12 @@ from sparsefit.whole_file import write_files
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+PARETO = (
+    "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
+    "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
+    "constraint."
+)
 
 
 def tables(selection: Selection) -> dict[str, Table]:
@@ -155,29 +160,14 @@ def pareto(selection: Selection) -> Figure | None:
 def write_selection(
     study: Any, selection: Selection, folder: Path | None = None, check: Selection | None = None
 ) -> list[Path]:
-    """Write the tables and the figure of a selection, evidence.html and evidence.md, the last."""
-    said, made, figure = list(lines(selection, check)), tables(selection), pareto(selection)
-    picture = Picture(figure, "No candidate was timed." if figure is None else (
-        "The criterion with its 95 % interval against the latency of one estimate, median to 99th "
-        "percentile. Ringed: the chosen candidate; dashed: the front of those that keep every "
-        "constraint."
-    ))  # fmt: skip
-    answer, title = headline(selection), f"{study.name}: the selection"
-    files = files_of(study.name, made, {"pareto": picture})
-    shown = drawing("pareto", picture, files.get("pareto.svg", b""))
-    sections: dict[str, Sequence[Any]] = {
-        "Why": [said, {"title": "The rule", "code": json.dumps(asdict(selection.rule), indent=1)}],
-        "Candidates": [made["selection"]],
-        "Accuracy and latency": [shown, made["latency"]] if "latency" in made else [],
-        "Regimes": [made["regimes"]] if "regimes" in made else [],
-    }
+    """Write the tables and the figure of a selection, and evidence.md, the last."""
+    said, made, picture = list(lines(selection, check)), tables(selection), pareto(selection)
+    files = files_of(study.name, made, {"pareto": Picture(picture, "")})
     text = [
-        f"# {title}\n\n**{study.question}**\n\n**{answer}**",
+        f"# {study.name}: the selection\n\n**{study.question}**\n\n**{headline(selection)}**",
         "\n".join(f"- {line}" for line in said),
-        "![accuracy and latency](pareto.svg)" if figure is not None else "",
+        f"![accuracy and latency](pareto.svg)\n\n*{PARETO}*" if picture is not None else "",
         made["selection"].to_markdown(12, "selection.csv"),
         f"{linked(made)} Written by `sparsefit select`; do not edit.",
     ]
-    page = to_html(title, study.question, answer, sections).encode()
-    files |= {"evidence.html": page, "evidence.md": joined(text)}
-    return write_files(folder or study.folder, files)
+    return write_files(folder or study.folder, files | {"evidence.md": joined(text)})
