@@ -40,9 +40,7 @@ def parser() -> Parser:
     verbs = top.add_subparsers(title="verbs", metavar="VERB", dest="verb")
     for name in ("simulate", "estimate", "study", "select", "export", "backends"):
         import_module(f"sparsefit.cli.verb_{name}").add(verbs)
-    shell = Option(
-        "shell", "bash, zsh or tcsh", "SHELL", extra={"choices": ("bash", "zsh", "tcsh")}
-    )
+    shell = Option("shell", "bash, zsh or tcsh", "SHELL", choices=("bash", "zsh", "tcsh"))
     verb(verbs, "completion", completion, [shell])
     return top
 

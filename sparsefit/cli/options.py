@@ -8,7 +8,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
 from typing import Any, NoReturn, TypeAlias
 
 from sparsefit.cli.terminal import Reply
@@ -51,58 +51,37 @@ class Parser(argparse.ArgumentParser):
         self.error(f"unrecognized arguments: {unknown}{near}")
 
 
-@dataclass(frozen=True)
 class Option:
-    """An option of a verb, or a value without a flag.
+    """An option of a verb, or a value without a flag, as argparse declares it."""
 
-    flags: names as typed, `--length-scale` or `-o --output`, separated by blanks; help: the
-    sentence of `--help`; metavar: the placeholder of the value, several for several values, of a
-    number its unit or NUMBER; read: the type of a value, None for a flag, which is True where it is
-    given; extra: further arguments of `add_argument`.
-    """
+    def __init__(self, flags: str, help: str, metavar: str = "",
+                 read: Callable[[str], Any] | None = str, **more: Any) -> None:  # fmt: skip
+        """Say how it is typed and read.
 
-    flags: str
-    help: str
-    metavar: str = ""
-    read: Callable[[str], Any] | None = str
-    extra: Mapping[str, Any] | None = None
+        Args:
+            flags: names as typed, `--length-scale` or `-o --output`, separated by blanks.
+            help: the sentence of `--help`.
+            metavar: the placeholder of the value, several for several values, of a number its unit
+                or NUMBER.
+            read: the type of a value, None for a flag, which is True where it is given.
+            more: further arguments of `add_argument`.
+        """
+        self.names, count = flags.split(), len(metavar.split())
+        self.dest = more.get("dest", self.names[-1].removeprefix("--").replace("-", "_"))
+        number = partial(read_number, read, metavar) if read in (int, float) else read
+        kind = {"type": number, "metavar": metavar or None} if read else {"action": "store_true"}
+        several = {"nargs": count, "metavar": tuple(metavar.split())} if count > 1 else {}
+        self.settings: dict[str, Any] = {"help": help, **kind, **several, **more}
 
-    @property
-    def dest(self) -> str:
-        """The name of the value among the arguments."""
-        return self.flags.split()[-1].removeprefix("--").replace("-", "_")
 
-    def declare(self, parser: argparse._ActionsContainer) -> None:
-        """Declare the option in a parser or a group of one."""
-        settings: dict[str, Any] = {"help": self.help, **(self.extra or {})}
-        if self.read is None:
-            settings.setdefault("action", "store_true")
-        else:
-            names = tuple(self.metavar.split())
-            settings["type"] = self._number if self.read in (float, int) else self.read
-            if names:
-                settings["metavar"] = names if len(names) > 1 else names[0]
-            if len(names) > 1:
-                settings["nargs"] = len(names)
-        parser.add_argument(*self.flags.split(), **settings)
-
-    @property
-    def needed(self) -> str:
-        """The words of a usage, where it must be given: `STUDY`, `-o FILE`, `FOLDER ...`."""
-        extra = self.extra or {}
-        if not self.flags.startswith("-"):
-            return self.metavar + " ..." * ("nargs" in extra)
-        return f"{self.flags.split()[0]} {self.metavar}" if extra.get("required") else ""
-
-    def _number(self, text: str) -> float:
-        """A plain number; `4 m` is refused with the unit to drop."""
-        read, kind = (int, "whole number") if self.read is int else (float, "number")
-        try:
-            return read(text if "_" not in text else "")
-        except ValueError:
-            unit = "" if self.metavar in PLAIN else self.metavar
-            remedy = f"; give it in {unit}, without the unit" if unit else ""
-            raise argparse.ArgumentTypeError(f'"{text}" is not a {kind}{remedy}') from None
+def read_number(read: Callable[[str], float], unit: str, text: str) -> float:
+    """A plain number; `4 m` is refused with the unit to drop."""
+    try:
+        return read(text if "_" not in text else "")
+    except ValueError:
+        kind = "whole number" if read is int else "number"
+        remedy = "" if unit in ("", *PLAIN) else f"; give it in {unit}, without the unit"
+        raise argparse.ArgumentTypeError(f'"{text}" is not a {kind}{remedy}') from None
 
 
 class OptionPlace(Place):
@@ -119,8 +98,8 @@ def option_of(key: str, words: str, metavar: str, read: Callable[[str], Any] | N
     """The option of a key of a study file, with the words of the key."""
     sentence = re.sub("`([a-z]+_[a-z_]+|timescale|drag)`", lambda name: flag(name[1]), words)
     sentence = sentence.replace("`", "").replace("%", "%%").replace(" Needed.", "")
-    extra = {"default": None} if read is None else None  # as a flag that was not given
-    return Option(flag(key), sentence, metavar, read, extra)
+    more = {"default": None} if read is None else {}  # as a flag that was not given
+    return Option(flag(key), sentence, metavar, read, **more)
 
 
 def flag(key: str) -> str:
@@ -143,23 +122,24 @@ def verb(
     stand under; about: in place of the docstring.
     """
     sentence, _, below = inspect.cleandoc(about or run.__doc__ or name).partition("\n\n")
-    needed = (option.needed for option in options)
     parser = verbs.add_parser(
         name,
         help=f"{sentence[0].lower()}{sentence[1:]}".rstrip("."),
         description=sentence,
         epilog=below or f"example:\n  sparsefit study {name} studies/NAME.toml",
-        usage=None if about else " ".join(["%(prog)s", *filter(None, needed), "[OPTION ...]"]),
     )
     parser.set_defaults(run=run, parser=parser, stopped="stopped")
     # An action below does not undo a --json that stands before it.
-    json = Option("--json", "print JSON", read=None, extra={"default": argparse.SUPPRESS})
-    for option in (*options, json):
-        option.declare(parser)
-    for title, members in (groups or {}).items():
-        group = parser.add_argument_group(title)
+    json = Option("--json", "print JSON", read=None, default=argparse.SUPPRESS)
+    for title, members in {"": (*options, json), **(groups or {})}.items():
+        group = parser.add_argument_group(title) if title else parser
         for option in members:
-            option.declare(group)
+            group.add_argument(*option.names, **option.settings)
+    if not about:
+        needed = (each for each in parser._actions if each.required)
+        words = (f"{' '.join([*each.option_strings[:1], str(each.metavar)])}"
+                 f"{' ...' * (each.nargs == '+')}" for each in needed)  # fmt: skip
+        parser.usage = " ".join(["%(prog)s", *words, "[OPTION ...]"])
     return parser
 
 
@@ -182,10 +162,9 @@ def key_value(text: str) -> tuple[str, Any]:
     return key, parsed["value"] if scalar else value
 
 
-PAIRS = {"action": "append", "default": []}
+PAIRS: dict[str, Any] = {"action": "append", "default": []}
 SETTING = Option(
-    "--setting", "setting of the back-end; may be repeated", "KEY=VALUE", key_value,
-    PAIRS,
+    "--setting", "setting of the back-end; may be repeated", "KEY=VALUE", key_value, **PAIRS
 )  # fmt: skip
 RESULTS = Option(
     "--results", "folder of the results of all studies; default: results beside the study file",

@@ -25,7 +25,7 @@ example:
 """
 NAME = Option("name", "a back-end, see sparsefit backends list", "NAME")
 TIMEOUT = Option("--timeout", "time limit of a plug-in; default: 60", "s", float,
-                 {"default": 60.0})  # fmt: skip
+                 default=60.0)  # fmt: skip
 
 
 def add(verbs: Verbs) -> None:

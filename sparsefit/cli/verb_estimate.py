@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 FLIGHT = Option(
     "flight", "flight log: a table (.csv, .parquet; .txt, .tsv, .dat), .ulg of PX4, .igc of a "
     "glider; several are flights through one flow, in one frame and by one clock", "FLIGHT",
-    extra={"nargs": "+"},
+    nargs="+",
 )  # fmt: skip
 PLOT = Option("--plot", "draw track, cells, weights and residual: .png, .svg or .pdf", "FILE")
 LOG = (
     Option("--columns", "columns of a foreign table and their units: time=t[ms],x=lon,y=lat,"
            "vx=u[cm/s],vy=v[cm/s]; without a unit s, m and m/s, and degrees of lon... and lat...",
            "MAP"),
-    Option("--from", "time from which the log is read", "s", float, {"dest": "begin"}),
-    Option("--to", "time up to which the log is read", "s", float, {"dest": "end"}),
+    Option("--from", "time from which the log is read", "s", float, dest="begin"),
+    Option("--to", "time up to which the log is read", "s", float, dest="end"),
     Option("--longest-gap", "longest gap that is accepted; default: 60 s, or 20 steps", "s",
            float),
 )  # fmt: skip
@@ -47,16 +47,16 @@ ESTIMATOR = {  # the dotted key of an estimator: the option that sets it
     "library.step": Option("--grid-step", "step of the grid; default: 0.2 m", "m", float),
     "library.unknown": Option(
         "--unknown", "parameters of the vehicle to estimate: response_time, drag, thrust_scale, "
-        "thrust_acceleration, wind", "NAME", extra={"nargs": "+"}),
+        "thrust_acceleration, wind", "NAME", nargs="+"),
     "free": Option(
         "--free", "causes of a misfit to estimate: latency, velocity_scale, lag ...; "
-        "auto: all that are found", "NAME", extra={"nargs": "+"}),
+        "auto: all that are found", "NAME", nargs="+"),
     "backend.name": Option(
         "--backend", "back-end that selects the candidates; default: group-lasso", "NAME"),
 }  # fmt: skip
 SET = Option(
     "--set", "any other key of [derivative], [library] or [readout] of a study file, as "
-    "library.family=waves; repeat it for more than one", "SECTION.KEY=VALUE", key_value, PAIRS,
+    "library.family=waves; repeat it for more than one", "SECTION.KEY=VALUE", key_value, **PAIRS,
 )  # fmt: skip
 ALL = (
     Option("--estimator", "estimator.json, as written by sparsefit select", "FILE"),
@@ -168,7 +168,7 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
     given = [option for option in ALL[1:] if getattr(args, option.dest) not in (None, [])]
     if args.estimator is not None:
         if given:
-            first = given[0].flags
+            first = given[0].names[0]
             raise InputError(f"{first} and --estimator cannot both be given; drop one")
         return read_estimator(args.estimator)
     values = {key: getattr(args, item.dest) for key, item in ESTIMATOR.items() if item in given}
@@ -177,7 +177,7 @@ def estimator_of(args: argparse.Namespace) -> Estimator:
     class TypedPlace(Place):
         def error(self, problem: str) -> InputError:
             key = f"{self.section}.{self.key}".strip(".").replace("library.grid.", "library.")
-            option = ESTIMATOR[key].flags if key in ESTIMATOR else f"--set {key}"
+            option = ESTIMATOR[key].names[0] if key in ESTIMATOR else f"--set {key}"
             return InputError(f"{option} {problem}" if self.key else problem)
 
     record: dict[str, Any] = {"library": {}, "backend": {"name": "group-lasso"}}

@@ -14,7 +14,7 @@ from sparsefit.whole_file import write_whole
 
 OPTIONS = (
     Option("estimator", "estimator file, .json, as sparsefit select writes", "ESTIMATOR"),
-    Option("--c", "folder to write", "DIR", extra={"required": True, "dest": "folder"}),
+    Option("--c", "folder to write", "DIR", required=True, dest="folder"),
     Option("--flight", "recorded flight that the test replays; default: a simulated one", "FILE"),
     Option("--float", "single precision in place of double", read=None),
     Option("--force", "write into DIR although it has files", read=None),

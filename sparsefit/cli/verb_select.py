@@ -22,7 +22,7 @@ RUN = (
     Option("--processes", "of --check; default: one per processor", "N", int),
     Option("--measure-again", "measure all latencies again", read=None),
     Option("-o --output", "estimator to write; default: estimator.json", "FILE",
-           extra={"default": "estimator.json"}),
+           default="estimator.json"),
     FORCE,
 )  # fmt: skip
 

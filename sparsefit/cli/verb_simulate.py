@@ -40,9 +40,9 @@ def add(verbs: Verbs) -> None:
     for name, words in sentences(FlightWords, "flights").items():
         groups["flow"].append(option_of(name, words, "NAME", str))
     options = (
-        Option("--seed", "seed of the random numbers; default: 0", "N", int, {"default": 0}),
+        Option("--seed", "seed of the random numbers; default: 0", "N", int, default=0),
         Option("-o --output", "flight to write, .csv or .parquet", "FILE",
-               extra={"required": True}),
+               required=True),
         FORCE,
     )  # fmt: skip
     verb(verbs, "simulate", run, options, groups)

@@ -37,12 +37,12 @@ RUN = (
     Option("--scheduler", "of dask (an extra), tcp://host:8786 say, whose workers compute in place "
            "of processes of this machine", "ADDRESS"),
     Option("--only", "compute only the cases of this back-end, label, protocol, problem or "
-           "solver (* for any letters) or case id; may be repeated", "NAME", extra=PAIRS),
+           "solver (* for any letters) or case id; may be repeated", "NAME", **PAIRS),
     Option("--against", "results folder of another run, with which the finished one is compared",
            "FOLDER"),
 )  # fmt: skip
 TABLES = Option("--table", "table to print, may be repeated; default: those of the study", "NAME",
-                extra=PAIRS)  # fmt: skip
+                **PAIRS)  # fmt: skip
 COMPARED = (
     *(Option(name, f"the {name} run: a results folder, or a study file with results",
              name.upper()) for name in ("first", "second")),
@@ -50,7 +50,7 @@ COMPARED = (
     Option("--tolerance", "relative change of a number that counts; default: 1e-6",
            "SHARE", float),
 )  # fmt: skip
-PARTS = Option("parts", "results folder of a part", "FOLDER", extra={"nargs": "+"})
+PARTS = Option("parts", "results folder of a part", "FOLDER", nargs="+")
 
 
 def add(verbs: Verbs) -> None:
