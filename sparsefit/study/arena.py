@@ -20,8 +20,7 @@ import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from sparsefit.arrays import Array, BoolArray
 from sparsefit.study.columns import MAX_REASON, Outcome, Value
 from sparsefit.study.data_sets import Data
 from sparsefit.study.keys import Clock
-from sparsefit.study.problem_desk import Contender, fractions_of, small_problem, write_data
+from sparsefit.study.problem_desk import Contender, fractions_of, small_problem
 from sparsefit.study.worker import Answer, Crew, NoAnswerError, Worker, disturbed
 
 JUDGE = "judge"
@@ -115,27 +114,24 @@ class Case:
 class Arena:
     """The solvers' workers, and the problem that they solve.
 
-    The folder of the crew holds the arrays. overhead: the time [s] of an empty request to a worker;
-    lost: the ends of contenders whose first call was lost, which are not tried again; first: the
-    times [s] of first calls; unit, data, file: the current problem.
+    overhead: the time [s] of an empty request to a worker; holds: the problem that a worker has the
+    rows of; lost: the ends of contenders whose first call was lost, which are not tried again;
+    first: the times [s] of first calls; unit, data: the current problem.
     """
 
     plan: Any  # the experiment with problems, which makes the arena
     crew: Crew
     overhead: dict[Worker, float] = field(default_factory=dict)
+    holds: dict[Worker, int] = field(default_factory=dict)
     lost: dict[tuple[str, str], NoAnswerError] = field(default_factory=dict)
     first: dict[tuple[str, str], float] = field(default_factory=dict)
     unit: int = field(init=False)
     data: Data = field(init=False)
-    file: Path = field(init=False)
 
     @np.errstate(over="ignore", invalid="ignore")  # of answers of any size
     def outcomes(self, unit: int, data: Data, cells: Sequence[int]) -> list[Outcome]:
         """Certify each case, time all by turns until their medians are known, cross-validate."""
-        self.unit, self.data, self.file = unit, data, self.crew.home / f"{unit}.npz"
-        if not self.file.exists():
-            write_data(data, self.file)
-        clock, turn = self.plan.definition.clock, 0
+        self.unit, self.data, clock, turn = unit, data, self.plan.definition.clock, 0
         cases = [Case(cell, self.plan.contenders[cell]) for cell in cells]
         for case in cases:
             with case.ending():
@@ -191,8 +187,8 @@ class Arena:
         with (self.crew.home / "weights").open("w+b") as file:
             np.full(shape, np.nan).tofile(file)
             file.flush()
-            rows = {"file": str(self.file), "seed": seed, "without": without}
-            content = {"contender": case.cell, **rows, "weights": file.name, "shape": shape}
+            rows = {"contender": case.cell, "seed": seed, "without": without}
+            content = {**rows, "weights": file.name, "shape": shape}
             ready = worker.ask("ready", content, READY_SECONDS, work=SOLVE)
             limit = case.contender.killed(shape[2])
             answer = worker.ask("solve", {}, limit, work=SOLVE, timed=True)
@@ -221,7 +217,7 @@ class Arena:
         names = case.contender.names
         if names in self.lost:
             raise self.lost[names]
-        worker = self.crew.worker(f"solver {case.contender.family}")
+        worker = self._holding(f"solver {case.contender.family}")
         if worker not in self.overhead:
             asks = [worker.ask("nothing", {}, READY_SECONDS, work=SOLVE, timed=True)
                     for _ in range(9)]  # fmt: skip
@@ -240,12 +236,18 @@ class Arena:
                 raise
         return worker
 
+    def _holding(self, desk: str) -> Worker:
+        """The worker of a desk, which has the rows of the problem, and no others."""
+        worker = self.crew.worker(desk)
+        if self.holds.get(worker) != self.unit:
+            rows = replace(self.data, truth=None, test=None)
+            worker.ask("hold", {"data": rows}, READY_SECONDS, work="copying the rows")
+            self.holds[worker] = self.unit
+        return worker
+
     def _judge(self, case: Case, weights: Array) -> None:
         """Certify an answer in a process of its own; the worst of the case counts."""
-        path = self.crew.home / "judged.npy"
-        np.save(path, weights)
-        content = {"file": str(self.file), "contender": case.cell, "weights": str(path)}
-        judge = self.crew.worker(JUDGE)
+        content, judge = {"contender": case.cell, "weights": weights}, self._holding(JUDGE)
         verdict = judge.ask("verdict", content, 300.0, work="the certificate").content
         case.values["certificate_kind"] = str(verdict.get("kind", ""))
         for name, key in (("certificate", "gap"), ("excess", "excess")):

@@ -1,7 +1,7 @@
 """A study of problems, worker side: solvers, and in another process the certificates.
 
-A `SolverDesk` reads each problem from a file. For every solve it makes new arrays: read-only copies
-at other addresses, the rows in another order P, and signs of rows and of the target changed,
+A `SolverDesk` holds the rows of a problem. For every solve it makes new arrays: read-only copies at
+other addresses, the rows in another order P, and signs of rows and of the target changed,
 (P D Z, s P D y). That is the same problem with the solution s W in other bytes, so that a cached
 answer is wrong. Where a penalty takes V and -V for different, s = 1. Weights are written into a
 file that the parent has filled with NaN; those that are missing when the clock stops count as
@@ -46,7 +46,6 @@ from sparsefit.study.schema import canonical_json
 from sparsefit.study.worker import peak_memory
 
 FIRST_SECONDS = 120.0  # of a first call that may compile
-SPARSE = ("data", "indices", "indptr", "shape")  # of a matrix by columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,29 +114,6 @@ class Contender:
         """All its settings, of the back-end and of the solver, as canonical JSON."""
         own = {"solver": self.recipe.name, **self.recipe.settings} if self.recipe else {}
         return canonical_json({**self.settings, **own})
-
-
-def write_data(data: Data, file: Path) -> None:
-    """Write the rows of a problem into a file for `read_rows`."""
-    content: dict[str, Any] = {"target": data.target, "samples": data.samples or 0}
-    if isinstance(data.theta, np.ndarray):
-        content["theta"] = data.theta
-    else:
-        content |= {name: getattr(data.theta, name) for name in SPARSE}
-    if data.groups is not None:
-        content["groups"] = np.unique(data.groups, return_inverse=True)[1]
-    np.savez(file, **content)
-
-
-def read_rows(file: str) -> Data:
-    """Read the rows of a problem that `write_data` wrote."""
-    with np.load(file, allow_pickle=False) as arrays:
-        theta: Any = arrays.get("theta")
-        if theta is None:
-            values, indices, starts, shape = (arrays[name] for name in SPARSE)
-            theta = csc_array((values, indices, starts), shape=tuple(shape))
-        samples = int(arrays["samples"]) or None
-        return Data(theta, arrays["target"], arrays.get("groups"), samples=samples)
 
 
 def problem_of(data: Data, *, partial: bool = False) -> RegressionProblem:
@@ -209,7 +185,7 @@ class SolverDesk:
 
     def __init__(self, contenders: Sequence[Contender], fractions: Sequence[float]) -> None:
         self._contenders, self._fractions = contenders, fractions
-        self._data: tuple[str, Data] | None = None
+        self._data: Any = None
         self._work: tuple[Any, ...] = ()
         self._into: Any = None
         self._met: set[tuple[str, str, bool]] = set()
@@ -220,19 +196,20 @@ class SolverDesk:
     def nothing(self) -> None:
         """An empty request, whose time is the overhead of one."""
 
+    def hold(self, data: Data) -> None:
+        """Take the rows of a problem, in place of another's."""
+        self._data = data
+
     def ready(
         self,
         contender: int,
-        file: str,
         seed: int,
         without: tuple[int, int] | None,
         weights: str,
         shape: tuple[int, int, int],
     ) -> Mapping[str, Any]:
-        """Copy the rows of a file for the next solve; returns the resident memory before it."""
-        if self._data is None or self._data[0] != file:
-            self._data = (file, read_rows(file))
-        part = part_of(self._data[1], without, seed)
+        """Copy the rows for the next solve; returns the resident memory before it."""
+        part = part_of(self._data, without, seed)
         problem = problem_of(part, partial=without is not None)
         self._work = (self._contenders[contender], problem, self._fractions)
         self._into = np.memmap(weights, float, "r+", shape=shape)
@@ -285,20 +262,21 @@ class JudgeDesk:
 
     def __init__(self, contenders: Sequence[Contender], fractions: Sequence[float]) -> None:
         self._contenders, self._fractions = contenders, fractions
-        self._file = ""
         self._problem: Any = None
         self._bounds: dict[str, Array] = {}
 
-    def verdict(self, file: str, contender: int, weights: str) -> Mapping[str, Any]:
-        """The kind of certificate, its largest value and the excess of the weights (p, k, n) in a
-        file, a contender's answer to the problem in another.
+    def hold(self, data: Data) -> None:
+        """Take the rows of a problem, in place of another's."""
+        self._problem, self._bounds = problem_of(data), {}
+
+    def verdict(self, contender: int, weights: Array) -> Mapping[str, Any]:
+        """The kind of certificate, its largest value and the excess of weights (p, k, n), the
+        answer of a contender.
         """
-        if file != self._file:
-            self._file, self._problem, self._bounds = file, problem_of(read_rows(file)), {}
         problem, solved = self._problem, self._contenders[contender]
-        answers, backend = np.load(weights, allow_pickle=False), solved.settled
+        backend = solved.settled
         kind, fractions = str(backend.certificate_kind), fractions_of(backend, self._fractions)
-        proofs = certificates_of(problem, points_of(backend, fractions), answers)
+        proofs = certificates_of(problem, points_of(backend, fractions), weights)
         worst = max(c.value if c and c.value == c.value else math.inf for c in proofs)
         if kind != "duality_gap" or None in proofs:
             return {"kind": kind, "gap": worst, "excess": worst}

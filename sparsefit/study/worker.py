@@ -167,8 +167,10 @@ class Worker:
         )
         pipes: Any = (self._process.stdin, self._process.stdout)
         self._requests, self._answers = pipes
-        self._poll = select.poll()
+        self._poll, self._room = select.poll(), select.poll()
         self._poll.register(self._answers, select.POLLIN)
+        self._room.register(self._requests, select.POLLOUT)
+        os.set_blocking(self._requests.fileno(), False)
         self._buffer, self._stop, self._number = bytearray(), stop or Event(), 0
         with self._ending():
             self._write(sys.path, (serve, (make, arguments, memory)))
@@ -212,10 +214,13 @@ class Worker:
             raise
 
     def _write(self, *messages: object) -> None:
-        content = b"".join(map(pickle.dumps, messages))
         with suppress(BrokenPipeError):  # it has died: `_line` raises
-            while content:
-                content = content[self._requests.write(content) :]
+            for message in messages:
+                content = memoryview(pickle.dumps(message, protocol=5))  # arrays are not copied
+                while content:
+                    if not self._room.poll(1e3 * START_SECONDS):
+                        raise NoAnswerError("timeout", "took no request")
+                    content = content[self._requests.write(content) or 0 :]
 
     def _line(self, seconds: float) -> bytes:
         """The next line, within a time [s] that leaves out how long this process was stopped."""
