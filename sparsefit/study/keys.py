@@ -100,7 +100,7 @@ class Outputs:
 class SelectionRule:
     """The rule by which a candidate is chosen, constraints with it: [select]."""
 
-    criterion: str = "mean timescale-error"
+    criterion: str = ""
     over: str = "average"
     margin: float = key(0.05, Range(least=0.0, below=1.0))
     on_board: bool = False
@@ -119,21 +119,8 @@ class SelectionRule:
 
     def changed(self, place: Place | None = None, /, **options: object) -> SelectionRule:
         """The rule with these options in place of its own; InputError names one that is wrong."""
-        values = {**vars(self), **options}
+        values = {name: own for name, own in {**vars(self), **options}.items() if own != ""}
         return build(type(self), values, place or Place("select", "select"))
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProblemSelection(SelectionRule):
-    """The rule by which a study of problems chooses."""
-
-    criterion: str = "mean holdout-error"
-
-    def __post_init__(self) -> None:
-        for name in ("on_board", "check", "max_silent_misses", "max_error", "max_latency_p99",
-                     "max_memory"):  # fmt: skip
-            if getattr(self, name):
-                raise InputError(f"{name} is for flights: a study of problems has no such rule")
 
 
 @dataclass(frozen=True)
@@ -251,6 +238,7 @@ class StudyFile(Heading):
 
     run: RunRule = key(RunRule)
     outputs: Outputs = key(Outputs)
+    select: SelectionRule = key(SelectionRule)
     flights: Section = key(dict)
     derivative: Section = key(dict)
     library: Section = key(dict)
@@ -268,7 +256,6 @@ class FlightFile(StudyFile):
     protocols: tuple[Section, ...] = key(())
     sweep: Section = key(dict)
     split: Split | None = None
-    select: SelectionRule = key(SelectionRule)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,7 +267,6 @@ class ProblemFile(StudyFile):
     clock: Clock = key(Clock)
     problems: tuple[Section, ...] = key()
     solvers: tuple[Section, ...] = key(())
-    select: ProblemSelection = key(ProblemSelection)
 
 
 @dataclass(frozen=True)

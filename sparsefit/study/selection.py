@@ -190,10 +190,16 @@ def check_rule(study: Any) -> None:
 def _criterion(rule: Any, cases: pd.DataFrame) -> Criterion:
     """Return the measure of a rule over the regimes of the cases."""
     regimes = tuple(regimes_of(cases).unique())
-    summary, _, name = rule.criterion.rpartition(" ")
+    kind = "problems" if "objective" in cases else "flights"
+    default = {"flights": "mean timescale-error", "problems": "mean holdout-error"}[kind]
+    summary, _, name = (rule.criterion or default).rpartition(" ")
     with told_with("[select] over"):
         one_of("regime", rule.over, ("average", "worst", *regimes))
-    kind = "problems" if "objective" in cases else "flights"
+    for limit in ("on_board", "check", *trials.LIMITS):
+        if kind == "problems" and limit != "max_failure" and getattr(rule, limit):
+            raise InputError(
+                f"[select] {limit} is for flights: a study of problems has no such rule"
+            )
     with told_with("[select] criterion"):
         measure = measures.measure(f"{summary or 'mean'} {name}")
         if measure.kind not in ("", kind):

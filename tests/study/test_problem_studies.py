@@ -18,6 +18,7 @@ from sparsefit.study.arena import Case, cross_validated, median_interval, recove
 from sparsefit.study.data_sets import Data, altered, drawn, read_data, read_public
 from sparsefit.study.keys import Clock, DataSet, Generator
 from sparsefit.study.problem_desk import part_of
+from sparsefit.study.selection import check_rule, select
 from sparsefit.study.store import read_cases
 from sparsefit.study.worker import cpu_seconds
 from tests.study import solver_deeds
@@ -104,7 +105,6 @@ def test_one_s_own_solver_is_compared_by_its_settings(own):
     assert (cases.loc[cases["solver"] == "plain steps=1", "status"] == "inaccurate").all()
     assert cases.attrs == {"limit": 5.0}
     assert own.missing == {}
-    assert own.definition.select.criterion == "mean holdout-error"
     assert own.run().computed == 0
 
 
@@ -196,8 +196,8 @@ def test_a_solver_is_named_where_there_are_several(own, tmp_path):
 
 
 def test_the_winner_is_a_call(own, capsys, tmp_path):
-    options = ("--criterion", "mean holdout-error", "--output", str(tmp_path / "e.json"))
-    assert main(["select", own.path, *options]) == 0
+    assert main(["select", own.path, "--output", str(tmp_path / "e.json")]) == 0
+    assert select(own).criterion.measure.name == "holdout-error"
     assert "use it: sf.fit(problem, 'lasso', alpha_fraction='auto')" in capsys.readouterr().out
 
 
@@ -233,10 +233,13 @@ def test_a_changed_file_of_a_command_is_another_case(tmp_path):
     assert (identities[0] == identities[1]).tolist() == [False, True]
 
 
-def test_a_criterion_that_is_given_is_not_replaced(tmp_path):
-    given = f'{PROBLEMS}{CORRELATED}[[backends]]\nname = "lasso"\n[select]\ncriterion = '
-    study = load(tmp_path, f'{given}"mean timescale-error"\n')
-    assert study.definition.select.criterion == "mean timescale-error"
+def test_a_rule_of_flights_is_refused_before_any_work(tmp_path):
+    text = f'{PROBLEMS}{CORRELATED}[[backends]]\nname = "lasso"\n[select]\n'
+    refusals = {"max_error = 1.0": "max_error is for flights",
+                'criterion = "mean timescale-error"': "is a measure of flights"}  # fmt: skip
+    for rule, words in refusals.items():
+        with pytest.raises(InputError, match=words):
+            check_rule(load(tmp_path, text + rule))
 
 
 def test_a_data_set_without_its_package_is_refused_before_any_work(tmp_path, monkeypatch, capsys):
@@ -272,7 +275,6 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\nfile = "no.npz"\n', "No such file"),
         ('[[problems]]\nfil = "no.npz"\n', 'did you mean "file"?'),
         (f'{CORRELATED}[[solvers]]\nname = "mine"\n', "is of no package: give its file"),
-        (f"{CORRELATED}[select]\nmax_error = 1.0\n", "max_error is for flights"),
         ('[[problems]]\nfile = "x.bin"\n', 'x.bin: unknown file type ".bin"'),
         ('[[problems]]\ndataset = "iris"\nalter = "as it was"\n', 'did you mean "as it is"?'),
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
