@@ -115,23 +115,15 @@ def read_data(path: Path, like: Data | None = None) -> Data:
     return Data(theta, content["target"], content.get("groups"), used)
 
 
-def shipping(name: str) -> Any:
-    """The module `sklearn.datasets`, with which the data set of that name ships.
-
-    Raises:
-        MissingExtra: if scikit-learn is not installed.
-    """
-    return optional("sklearn.datasets", f'data set "{name}" ships with scikit-learn', "peers")
-
-
 def read_public(name: str) -> Data:
-    """A data set of `keys.DataSet`, centred, as there is no intercept; raises as `shipping`.
+    """A data set of `keys.DataSet`, centred, as there is no intercept.
 
     Of a classification (digits, iris, wine, breast-cancer) the targets are the indicators of the
     classes. ``diabetes-quadratic``: the 64 predictors of Efron, Hastie, Johnstone and Tibshirani
     (Ann. Statist. 32, 2004), each variable's square in its group.
     """
-    datasets = shipping(name)
+    words = f'data set "{name}" ships with scikit-learn'
+    datasets = optional("sklearn.datasets", words, "peers")
     load = getattr(datasets, f"load_{name.removesuffix('-quadratic').replace('-', '_')}")
     theta, target = (np.asarray(part, float) for part in load(return_X_y=True))
     if name in ("digits", "iris", "wine", "breast-cancer"):

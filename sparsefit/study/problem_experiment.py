@@ -214,7 +214,7 @@ class ProblemExperiment(Plan):
         """Refuse data sets whose package is missing."""
         for source in self.problems:
             if source.keys.dataset:
-                data_sets.shipping(source.keys.dataset)
+                source.make()
 
     def batches(self, wanted: BoolArray) -> Iterator[Batch]:
         """All cases of one problem and one objective, which are timed by turns."""

@@ -326,7 +326,7 @@ def scratch() -> Iterator[Path]:
     Where the run is killed, `guardian` removes it.
     """
     with refusing("the folder of temporary files"):
-        home = Path(tempfile.mkdtemp(prefix="sparsefit-run-"))
+        home = Path(tempfile.mkdtemp(prefix="sparsefit-study-"))
     try:
         yield home
     finally:

@@ -63,7 +63,7 @@ def test_the_files_of_a_killed_run_go_with_it(tmp_path, monkeypatch):
         "    os.kill(os.getpid(), 9)"
     )
     told = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, check=False)
-    assert b"sparsefit-run-" in told.stdout
+    assert b"sparsefit-study-" in told.stdout
     until(lambda: not list(tmp_path.iterdir()), 10.0)
 
 
