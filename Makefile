@@ -12,7 +12,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 study: export PYTHONDONTWRITEBYTECODE :=
 study: $(VENV)/.installed
 	$(BIN)/sparsefit study run studies/table2.toml --results build/results \
-		--against results/table2 $(if $(wildcard build/results/table2/cases.sqlite),,--fresh)
+		$(if $(wildcard build/results/table2/cases.sqlite),,--fresh)
+	-$(BIN)/sparsefit study compare results/table2 build/results/table2
 
 # Every shipped study by the code that is here. A case that this code has computed is not computed
 # again, so that it goes on where it was stopped.

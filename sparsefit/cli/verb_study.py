@@ -38,8 +38,6 @@ RUN = (
            "of processes of this machine", "ADDRESS"),
     Option("--only", "compute only the cases of this back-end, label, protocol, problem or "
            "solver (* for any letters) or case id; may be repeated", "NAME", **PAIRS),
-    Option("--against", "results folder of another run, with which the finished one is compared",
-           "FOLDER"),
 )  # fmt: skip
 TABLES = Option("--table", "table to print, may be repeated; default: those of the study", "NAME",
                 **PAIRS)  # fmt: skip
@@ -118,11 +116,10 @@ def plan(args: argparse.Namespace) -> Reply:
 def run_study(args: argparse.Namespace) -> Reply:
     """Run a study, or continue one that was stopped."""
     from sparsefit.study import page
-    from sparsefit.study.store import read_cases
 
     again = "without --fresh to continue" if args.fresh else "again to continue"
     args.stopped = f"stopped; run the same command {again}"
-    study, other = _checked(args), read_cases(args.against) if args.against else None
+    study = _checked(args)
     names = ("processes", "fresh", "retry_failed", "stale", "only", "scheduler")
     with terminal.Progress() as progress:
         summary = study.run(progress=progress, **{name: getattr(args, name) for name in names})
@@ -140,12 +137,7 @@ def run_study(args: argparse.Namespace) -> Reply:
     shown = "" if args.json else page.show(study, cases, width=terminal_width(), tables_shown=1)
     more = f"all tables: sparsefit study show {args.study}"
     lines = [shown, *terminal.rows(terminal.entries(record)), more]
-    record |= {"headline": page.headline(study, cases), "written": written}
-    if other is not None:
-        compared = _compared(other, cases, (args.against, str(summary.folder)))
-        record |= {"comparison": compared.record}
-        lines += ["", *(compared.lines or ())]
-    return Reply(record, lines)
+    return Reply(record | {"headline": page.headline(study, cases), "written": written}, lines)
 
 
 def _warn(count: int, words: str) -> None:
@@ -211,26 +203,17 @@ def compare(args: argparse.Namespace) -> Reply:
       sparsefit study compare results-0.3/table2 results/table2
       sparsefit study compare old/table2 studies/table2.toml
     """
+    from sparsefit.study import compare as comparing
     from sparsefit.study.store import read_cases
+    from sparsefit.study.study import Study
 
     def cases(name: str) -> pd.DataFrame:
-        if Path(name).is_dir():
-            return read_cases(name)
-        from sparsefit.study.study import Study
+        is_folder = Path(name).is_dir()
+        return read_cases(name) if is_folder else Study.from_file(name, args.results).cases
 
-        return Study.from_file(name, results=args.results).cases
-
-    names = (args.first, args.second)
-    return _compared(cases(args.first), cases(args.second), names, args.tolerance)
-
-
-def _compared(first: pd.DataFrame, second: pd.DataFrame, names: tuple[str, str],
-              tolerance: float | None = None) -> Reply:  # fmt: skip
-    """What differs between the cases of two runs."""
-    from sparsefit.study import compare as comparing
-
-    limit = comparing.TOLERANCE if tolerance is None else tolerance
-    both = comparing.compare(first, second, names, non_negative("--tolerance", limit))
+    limit = comparing.TOLERANCE if args.tolerance is None else args.tolerance
+    limit, names = non_negative("--tolerance", limit), (args.first, args.second)
+    both = comparing.compare(cases(args.first), cases(args.second), names, limit)
     lines = [both.table.to_text(terminal_width())] if len(both.changes) else []
     return Reply(both.record(), [*lines, both.sentence], int(both.differs))
 
