@@ -120,12 +120,8 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     measured = any(draw.values.get(name, 0.0) > 0 for name in ("position_noise", "velocity_noise"))
     if noise <= 0 or measured or not isinstance(flow, CellularFlow):
         return {}
-    # psi = U0/(2k) [cos k(x - y) - cos k(x + y)]
-    speed, scale = flow.mean_velocity, flow.length_scale
-    k = math.pi / scale
-    height = 0.5 * speed / k
-    waves, cosine = k * np.array([[1.0, 1.0], [1.0, -1.0]]), height * np.array([-1.0, 1.0])
-    pattern, models = StreamPattern.of_waves("axis", waves, cosine, np.zeros(2)), []
+    speed, scale, models = flow.mean_velocity, flow.length_scale, list[Model]()
+    pattern = StreamPattern("axis", (speed, scale, -math.pi, 0.0))  # the phases of its two waves
     for flown in fleet:
         density = noise * math.sqrt(flown.duration / (flown.samples - 1))  # [m/s^2/sqrt(Hz)]
         noises = Disturbance(density, 1e-6 * scale, 1e-6 * speed)  # exact trajectories, almost
@@ -136,10 +132,8 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
         covariance = bound([FlightLog.of_flight(flown) for flown in fleet], models, states)
     except InputError:
         return {}
-    slopes = np.zeros((3, len(covariance)))  # of U0, L and tau_w by the parameters of the pattern
-    slopes[0, 0] = slopes[1, 1] = 1.0
-    slopes[2, :2] = -scale / speed**2, 1.0 / speed
-    errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance, slopes)).tolist()
+    slopes = np.array([[1.0, 0.0], [0.0, 1.0], [-scale / speed**2, 1.0 / speed]])  # by U0 and L
+    errors = np.sqrt(np.einsum("ij,jk,ik->i", slopes, covariance[:2, :2], slopes)).tolist()
     return dict(zip(("mean_velocity", "length_scale", "timescale"), errors, strict=True))
 
 
