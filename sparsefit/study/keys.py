@@ -39,20 +39,6 @@ SYNONYMS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Heading:
-    """The keys at the top of every study file."""
-
-    name: str
-    question: str
-    kind: StudyKind = "flights"
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.name):
-            raise InputError("name must be 1 to 64 of a-z, 0-9, _ and -: it is the results folder")
-
-
 @dataclass(frozen=True)
 class Split:
     """The flights of a choice, and those that score it: [split]."""
@@ -233,9 +219,13 @@ class Clock:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StudyFile(Heading):
+class StudyFile:
     """A study file, its sections as records where their keys are those of no part of a case."""
 
+    name: str
+    question: str
+    kind: StudyKind = "flights"
+    seed: int = 0
     run: RunRule = key(RunRule)
     outputs: Outputs = key(Outputs)
     select: SelectionRule = key(SelectionRule)
@@ -243,6 +233,10 @@ class StudyFile(Heading):
     derivative: Section = key(dict)
     library: Section = key(dict)
     backends: tuple[Section, ...] = key()
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[a-z0-9_-]{1,64}", self.name):
+            raise InputError("name must be 1 to 64 of a-z, 0-9, _ and -: it is the results folder")
 
 
 @dataclass(frozen=True, kw_only=True)

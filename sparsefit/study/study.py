@@ -26,11 +26,11 @@ from sparsefit.errors import InputError
 from sparsefit.study import figures, selection, tables
 from sparsefit.study.flight_desk import FlightDesk, Reading, estimator_of
 from sparsefit.study.flight_experiment import FlightExperiment
-from sparsefit.study.keys import FlightFile, Heading, Outputs, ProblemFile
+from sparsefit.study.keys import FlightFile, Outputs, ProblemFile
 from sparsefit.study.plan import Plan
 from sparsefit.study.problem_experiment import ProblemExperiment
 from sparsefit.study.runner import MergedPart, Progress, RunSummary, merge, run
-from sparsefit.study.schema import Section, read_toml, taken
+from sparsefit.study.schema import Section, read_toml
 from sparsefit.study.store import Store, cases_table, read_cases
 from sparsefit.study.trials import Latency, measured, read_latencies, write_latencies
 
@@ -45,8 +45,7 @@ def plan_of(document: Section, path: str) -> Plan:
         InputError: with the file, the section and the key (or the line) of the first fault.
     """
     place = Place(path)
-    heading, _ = taken(Heading, document, place)
-    is_flown = heading.kind == "flights"
+    is_flown = document.get("kind") not in ("problems", "solvers")
     if is_flown and "problems" in document:
         raise place.at("kind").error('missing: a file with [[problems]] says kind = "problems"')
     file: Any = build(FlightFile if is_flown else ProblemFile, document, place)
