@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from sparsefit.cli.options import FORCE, RESULTS, Option, OptionPlace, Verbs, option_of, verb
 from sparsefit.cli.terminal import Progress, Reply, check_output, filled
-from sparsefit.cli.verb_study import STUDY, finished
+from sparsefit.cli.verb_study import STUDY, read_study
 from sparsefit.study.keys import SelectionRule
 from sparsefit.study.schema import names_of, sentences
 from sparsefit.whole_file import write_whole
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> Reply:
     from sparsefit.study import evidence
     from sparsefit.study.selection import headline, lines, select
 
-    study, _ = finished(args)
+    study = read_study(args)
     args.stopped = "stopped; run the same command again to continue"
     given = {name: getattr(args, name) for name in names_of(SelectionRule)}
     options = {name: value for name, value in given.items() if value is not None}

@@ -15,7 +15,6 @@ from sparsefit.errors import InputError, non_negative, told_with
 if TYPE_CHECKING:
     import pandas as pd
 
-    from sparsefit.study.runner import RunSummary
     from sparsefit.study.study import Study
 
 ABOUT = """Check, plan, run and read a study.
@@ -67,21 +66,6 @@ def read_study(args: argparse.Namespace) -> Study:
     from sparsefit.study.study import Study
 
     return Study.from_file(args.study, results=args.results)
-
-
-def finished(args: argparse.Namespace) -> tuple[Study, RunSummary]:
-    """The study and its state.
-
-    Raises:
-        InputError: with the command that runs the cases that are not there.
-    """
-    study = read_study(args)
-    state = study.status()  # refuses the results of another study
-    if state.done < state.planned:
-        there = f"{state.done} of {state.planned} cases are there; run them first"
-        folder = f" --results {args.results}" if args.results else ""
-        raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}{folder}")
-    return study, state
 
 
 def _checked(args: argparse.Namespace) -> Study:
@@ -189,7 +173,11 @@ def report(args: argparse.Namespace) -> Reply:
     """Write tables, figures and report again from the stored cases."""
     from sparsefit.study import page
 
-    study, state = finished(args)
+    study = read_study(args)
+    state = study.status()
+    if state.done < state.planned:
+        there = f"{state.done} of {state.planned} cases are there; run them first"
+        raise InputError(f"{state.folder}: {there}: sparsefit study run {args.study}")
     _warn(state.stale, STALE)
     written, headline = list(map(str, page.write(study))), page.headline(study, study.cases)
     said = {"headline": headline, "files": len(written), "report": written[-1]}
