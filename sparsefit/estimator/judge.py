@@ -13,6 +13,7 @@ from sparsefit.estimator.prepare import RESOLVED, Prepared
 from sparsefit.likelihood.causes import FREEDOMS, Suspect, two_digits, unit_of
 from sparsefit.likelihood.diagnosis import FALSE_ALARM, usable
 
+ONE_WAY = 0.03  # of the largest variance of gusts: that across the direction of a missing wave
 DISAGREES = 0.2  # largest relative rms difference of displacements by position and velocity
 MORE = "more than noise is left"
 UNITS = {  # by the displacement of positions over that of velocities
@@ -173,7 +174,7 @@ def doubts_of_flow(
             )
         # A position that jumps wanders, in steps that are not white.
         tested = {*wanders} <= {"turbulence"} and not (posterior.exact or posterior.pushed)
-        if tested and not goodness.whiteness >= 1e-6:
+        if tested and not goodness.whiteness >= FALSE_ALARM:
             yield misfit(
                 f"{MORE}: innovations are not white (p = {goodness.whiteness:.1g}), and no cause "
                 "explains it"
@@ -184,6 +185,9 @@ def doubts_of_flow(
                 f"{_of_flight(prepared, number)}{MORE}: the flow before t = {time:.3g} s seems "
                 f"another than after it (p = {chance:.1g})"
             )
+        gusts = (own for model in posterior.models for own in model.disturbance.processes)
+        if min((own.isotropy for own in gusts), default=1.0) < ONE_WAY:
+            yield misfit(f"{MORE}: gusts of one direction, as of waves that no shape here has")
     strength = np.hypot(*result.waves[:, :2].T) * np.hypot(*result.waves[:, 2:4].T)
     roll = len(strength) == 2 and strength.min() < 0.5 * strength.max()
     if roll or (len(strength) != 2 and len(scales) < 2):

@@ -50,6 +50,11 @@ class Process:
     course: tuple[float, ...] = ()
     mixing: tuple[tuple[float, ...], ...] = ()
 
+    @property
+    def isotropy(self) -> float:
+        """The variance in the weakest direction over that in the strongest."""
+        return float(np.linalg.cond(self.mixing)) ** -2 if self.mixing else 1.0
+
 
 @dataclass(frozen=True)
 class Disturbance:

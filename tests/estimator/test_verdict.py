@@ -236,13 +236,14 @@ def test_a_freer_shape_does_not_stand_in_for_a_wrong_vehicle():
 
 def test_optima_of_parts_of_a_flight_are_misfits_but_not_beside_a_position_that_jumps():
     drawn = (5, 24, 772004, "innovations are not white"), (3, 2, 913, "another than after it (p =")
-    for world, count, seed, words in drawn:
+    hidden = (5, 62, 7103, "gusts of one direction")  # two waves of the second flow
+    for world, count, seed, words in (*drawn, hidden):
         ((flight, _),) = draw(GROUPS["own"][world], count, seed, first=count - 1)
         assert words in sf.Estimator().estimate(flight).reason
     jumping = sf.flows.LogFaults(jumps=3).spoil(fly(FLOW, seed=0, noise=(0.2, 0.05)), 0)
     found = sf.Estimator().estimate(jumping)
     assert found.status == "ok"
-    assert found.goodness.whiteness < 1e-6 < 0.1 < found.position_wander
+    assert found.goodness.whiteness < 1e-4 < 0.1 < found.position_wander
     assert found.length_scale == pytest.approx(FLOW.length_scale, rel=1e-3)
 
 
@@ -300,7 +301,7 @@ ODD = {"residual": 0.51, "r_squared": 0.91}
     ("inside", "outside", "words"),
     [
         ({"turbulence_share": 0.49}, {"turbulence_share": 0.51}, "any steady cells"),
-        ({"whiteness": 2e-6}, {"whiteness": 5e-7}, "no cause explains it"),
+        ({"whiteness": 2e-4}, {"whiteness": 5e-5}, "no cause explains it"),
         ({"residual": 0.49, "r_squared": 0.5}, ODD | {"r_squared": 0.89}, "or hardly steady"),
         (ODD, ODD | {"whiteness": 5e-4}, "or hardly steady"),
         ({"flights": (0.81, 0.99)}, {"flights": (0.81, 0.79)}, "may be another; leave it out"),
