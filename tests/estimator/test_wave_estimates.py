@@ -304,6 +304,7 @@ def test_unrefined_scales_are_candidates_of_the_grid():
     assert {3.0, 5.0} <= {round(one.length_scale, 9) for one in found.scales}
     for one in found.scales:
         assert one.length_scale == pytest.approx(one.grid_length_scale)
+        assert one.timescale == one.length_scale / one.mean_velocity
         assert np.min(np.abs(sf.model.LengthScaleGrid().scales - one.length_scale)) < 1e-9
     scored = score_scales(found, flight_.flow)
     assert scored.max_length_scale_error < 1e-9

@@ -224,8 +224,12 @@ def test_simpler_shapes_that_are_near_are_fitted_first_where_they_stand(
 
     model = Model(pattern_of(shape, drift=drift), {})
     posterior = SimpleNamespace(model=model, models=[model], log_likelihood=0.0)
+    posterior.bic, likelier, worse = 0.0, SimpleNamespace(bic=-1.0), SimpleNamespace(bic=1.0)
     assert room._simplest(refit, posterior) is posterior
     assert tried == (simpler if lost < room.LOST else [])
+    for there, answer in ((likelier, likelier), (worse, posterior)):
+        found = room._simplest(lambda *_, there=there: there, posterior)
+        assert found is (answer if lost < room.LOST else posterior)
 
 
 @pytest.mark.parametrize("likelier", [room.TUNED, 1.0 / room.TUNED])

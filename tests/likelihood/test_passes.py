@@ -115,6 +115,12 @@ def test_a_square_of_waves_is_these_waves_whatever_their_signs(signs, order):
     np.testing.assert_allclose(again.values, true.values, rtol=1e-12)
 
 
+def test_a_rectangle_of_waves_has_a_length_by_each_of_their_axes():
+    true = StreamPattern("rectangle", (5.0, 3.0, 4.0, 0.3, 0.7, -1.2))
+    again = StreamPattern.of_waves("rectangle", true.waves[:, :2], *true.waves[:, 2:4].T)
+    np.testing.assert_allclose(again.values, true.values, rtol=1e-12)
+
+
 def velocity(pattern, x, y, t=0.0):
     """The flow, by the force on a vehicle of unit response time at rest."""
     elements = np.concatenate([[1.0, *np.zeros(len(ELEMENTS) - 1)], pattern.waves.ravel()])[:, None]

@@ -118,6 +118,7 @@ def test_the_filter_and_the_noise_are_reported():
     air = truth.flow.velocity(*truth.position.T)
     exact = ((air - truth.velocity) / VEHICLE.response_time + VEHICLE.thrust_acceleration)[rows]
     assert np.std(samples.acceleration - exact) < 0.1 * np.std(exact)
+    assert np.std(samples.position_rate - truth.velocity[rows]) < 0.1 * np.std(truth.velocity)
     np.testing.assert_array_equal(samples.time, flight.time[rows])
 
 
