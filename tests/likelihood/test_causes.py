@@ -1,5 +1,6 @@
 """Score tests of causes against their refits, and what is named where something is wrong."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,7 +9,7 @@ import pytest
 
 import sparsefit as sf
 from sparsefit.likelihood import diagnosis as room
-from sparsefit.likelihood.causes import FREEDOMS, Suspect
+from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
 from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
 from sparsefit.likelihood.gains import gains_of
 from sparsefit.likelihood.goodness import Constancy, _disturbances
@@ -276,6 +277,27 @@ def test_a_response_time_is_told_from_gusts_that_it_filters(kind, off):
     assert freed.status == "ok"
     assert freed.response_time == pytest.approx(off * flight.vehicle.response_time, rel=0.06)
     assert abs(freed.mean_velocity - truth.mean_velocity) < 3 * freed.uncertainty.mean_velocity
+
+
+def test_gusts_are_as_isotropic_as_the_variance_in_their_weakest_direction():
+    turned = math.sqrt(0.5) * np.array([[1.0, -1.0], [1.0, 1.0]])
+    for share, mixing in ((0.04, turned @ np.diag([2.0, 0.4])), (1.0, turned)):
+        gusts = Process("turbulence", WIND, 1.0, mixing=tuple(map(tuple, mixing)))
+        assert gusts.isotropy == pytest.approx(share)
+    assert Process("turbulence", WIND, 1.0).isotropy == 1.0
+
+
+def test_a_search_that_leaves_the_proposed_flow_ends_there():
+    logs, posterior = posterior_of(flight_of())
+    seen = []
+
+    def inside(pattern):
+        seen.append(pattern)
+        return False
+
+    away = fitted(logs, posterior.models, inside=inside)
+    assert (away.reason, len(seen)) == ("the search leads to another flow", 1)
+    assert fitted(logs, posterior.models, inside=lambda pattern: True).converged
 
 
 def test_what_is_ambiguous_is_worked_by_hand():
