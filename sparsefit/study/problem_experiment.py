@@ -277,6 +277,7 @@ def _sources(file: ProblemFile, place_in_file: int, place: Place) -> Iterator[Pr
         numbered_name = f"{name} {number}" if len(arrays) > 1 else name
         for alter in keys.alter:
             own = f"{numbered_name}, {alter}" if alter != "as it is" else numbered_name
+            # None stands where a target's name stood, so that cases keep their ids.
             whole = canonical_json([identity, None, beside, alter, seed])
             yield ProblemSource(own, series, make, whole, alter, seed, keys)
 

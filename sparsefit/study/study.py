@@ -45,8 +45,9 @@ def plan_of(document: Section, path: str) -> Plan:
         InputError: with the file, the section and the key (or the line) of the first fault.
     """
     place = Place(path)
-    is_flown = document.get("kind") not in ("problems", "solvers")
-    if is_flown and "problems" in document:
+    kind = document.get("kind", "flights")
+    is_flown = "problems" not in document and kind not in ("problems", "solvers")
+    if kind == "flights" and "problems" in document:
         raise place.at("kind").error('missing: a file with [[problems]] says kind = "problems"')
     file: Any = build(FlightFile if is_flown else ProblemFile, document, place)
     outputs = file.outputs

@@ -288,6 +288,12 @@ def test_what_is_no_problem_is_refused_by_key(tmp_path, text, said):
     assert 'says kind = "problems"' in refusal(tmp_path, whole.replace("kind", "#", 1))
 
 
+def test_a_misspelt_kind_is_no_missing_one(tmp_path):
+    text = 'name = "x"\nquestion = "?"\nkind = "problem"\n[[problems]]\ndataset = "iris"\n'
+    assert "unknown value 'problem': did you mean" in refusal(tmp_path, text)
+    assert "unknown value 'flight': did you mean" in refusal(tmp_path, 'kind = "flight"\n')
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
