@@ -29,7 +29,7 @@ import numpy as np
 from scipy.sparse import csc_array, issparse
 
 from sparsefit.arrays import Array, BoolArray
-from sparsefit.errors import InputError, one_of, optional, told_with
+from sparsefit.errors import InputError, optional
 from sparsefit.study.keys import MOST_VALUES, Generator
 from sparsefit.whole_file import regular_file
 
@@ -72,8 +72,9 @@ def read_data(path: Path, like: Data | None = None) -> Data:
         InputError: if there is no such file, it is too large, holds no theta or target, anything
             but numbers, or other columns than the data that it is to be like.
     """
-    with told_with(path):
-        one_of("file type", path.suffix.lower() or path.name, (".npz",))
+    if path.suffix.lower() != ".npz":
+        remedy = "write it with np.savez(file, theta=..., target=...)"
+        raise InputError(f"{path}: a problem is read from .npz alone: {remedy}")
     with regular_file(path, most=MOST_BYTES) as file:
         try:
             # Of the directory, which is read whole: ten names take less than a kilobyte.
