@@ -22,6 +22,7 @@ from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.regression.design import Design
 from sparsefit.regression.penalties import AbsoluteValues
 from sparsefit.solvers.newton import by_gradients
+from sparsefit.solvers.working_set import Columns, sparse_columns
 
 ROUGH = 1e-3  # of alpha: the largest move of a sweep, at which descent ends
 SHARPER = 0.1  # by which that is multiplied where its signs are not those of the optimum
@@ -34,13 +35,14 @@ EXACT = 1e-10  # of alpha: the error of a correlation at an optimum
 class Walk:
     """The iterate along a path: V (k,) and the residual (m,), both updated in place."""
 
-    def __init__(self, design: Design, target: Array) -> None:
-        self.design, self.scale = design, 1.0 / design.rms
+    def __init__(self, design: Design, target: Array, penalty: AbsoluteValues) -> None:
+        self.design, self.penalty, self.scale = design, penalty, 1.0 / design.rms
         self.residual = np.array(target, dtype=np.float64)
         self.values, self.steps = np.zeros(design.shape[1]), 0
 
-    def settle(self, limits: Array, ridge: float, in_play: BoolArray) -> tuple[Array, bool]:
-        """Solve at limits alpha w (k,) and a ridge: Z'R/m (k,), and whether it is solved."""
+    def settle(self, alpha: float, in_play: BoolArray) -> tuple[Array, bool]:
+        """Solve at a penalty: Z'R/m (k,), and whether it is solved."""
+        limits, ridge = alpha * self.penalty.weights, alpha * self.penalty.ridge
         alpha, rough, pull = float(limits.max()), ROUGH, limits
         if 2 * np.count_nonzero(in_play) > len(in_play):  # sweeps over all cost less than a polish
             in_play[:] = True
@@ -74,29 +76,18 @@ class Walk:
 
     def _polish(self, limits: Array, ridge: float, alpha: float) -> bool:
         """Go towards the optimum for the present signs; whether they hold there."""
-        design, samples = self.design, float(self.design.samples)
-        used = np.flatnonzero(self.values)
-        part, values, scale = design.csc[:, used], self.values[used], self.scale[used]
-        across, means = part.T, design.means[used]
-
-        def fitted(x: Array) -> Array:
-            """Z_A x (m,)."""
-            seen: Array = part @ (scale * x)
-            if design.direction is not None:
-                seen -= (means @ (scale * x)) * design.direction
-            return seen
-
-        def pulled(rest: Array) -> Array:
-            """Z_A'R/m (a,) of R without a part along e."""
-            return np.asarray(across @ rest) * scale / samples
+        used, design = np.flatnonzero(self.values), self.design
+        values, limits = self.values[used], limits[used]
+        part = Columns(self.penalty, limits, None, sparse_columns(design, used), design)
 
         def times(x: Array) -> Array:
-            return pulled(fitted(x)) + ridge * x
+            return part.times(x) + ridge * x
 
         def has_flips(x: Array, rest: float) -> bool:
             return rest <= INEXACT * size and bool(np.any(values * (values + x) <= 0))
 
-        pull = pulled(self.residual) - ridge * values - limits[used] * np.sign(values)
+        pull = part.across @ self.residual / design.samples
+        pull -= ridge * values + limits * np.sign(values)
         size = float(np.abs(pull).max(initial=0.0))
         if size <= EXACT * alpha:
             return True
@@ -104,7 +95,7 @@ class Walk:
         flips = np.flatnonzero(values * (values + move) <= 0)
         until = -values[flips] / move[flips]
         share = float(until.min(initial=1.0))
-        self.residual -= share * fitted(move)
+        self.residual -= share * part.fitted(move)
         self.values[used], self.steps = values + share * move, self.steps + steps
         self.values[used[flips[until <= share]]] = 0.0
         return share == 1.0
@@ -115,7 +106,7 @@ def descent_path(
 ) -> tuple[Array, BoolArray, IntArray]:
     """Weights V (p, k) of a target (m,) at alphas (p,), which are solved, and steps; cross (k,)."""
     count, k = len(alphas), len(cross)
-    walk = Walk(design, target)
+    walk = Walk(design, target, penalty)
     weights, complete = np.zeros((count, k)), np.zeros(count, bool)
     steps, pull, last = np.zeros(count, np.intp), cross, walk.residual.copy()
     for i, alpha in enumerate(alphas.tolist()):
@@ -131,6 +122,6 @@ def descent_path(
             walk.values += share * (walk.values - weights[i - 2])
             walk.residual += share * (residual - last)
         last = residual
-        pull, complete[i] = walk.settle(alpha * penalty.weights, alpha * penalty.ridge, in_play)
+        pull, complete[i] = walk.settle(alpha, in_play)
         weights[i], steps[i] = walk.values, walk.steps - taken
     return weights, complete, steps

@@ -20,13 +20,11 @@ Sources: Johnson and Guestrin, "Blitz: a principled meta-algorithm for scaling s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.cached import cached_property
 from sparsefit.regression.design import Design
 from sparsefit.regression.group_penalties import GroupNorms
 from sparsefit.regression.losses import SQUARES, RootSquares
@@ -43,8 +41,9 @@ from sparsefit.solvers.kernels import (
     kernel_for,
     path_on_gram,
 )
-from sparsefit.solvers.newton import Columns, Growing, by_gradients, definite
+from sparsefit.solvers.newton import by_gradients
 from sparsefit.solvers.outliers import outlier_path
+from sparsefit.solvers.working_set import STORED, Columns, Growing, definite
 
 FEW = 600  # columns, at most, that are all in the working set
 START = 200  # columns of the first working set
@@ -52,87 +51,10 @@ SEVERAL = 4  # penalties at least, for which Z'Z of all columns is formed
 AHEAD = 8  # penalties that are solved before the columns outside are tested
 NEAR = 0.1  # groups whose dual norm exceeds (1 - NEAR) alpha join with those that violate
 FEASIBLE = 3e-10  # relative excess of a dual norm over alpha that counts as rounding
-STORED = 2**25  # entries of Z_J, at most, of which a dense copy is stored
 SMALL = 2**22  # m k of sparse columns, at most, that are stored dense
 SMALL_CLUSTERS = 2**16  # for cluster descent, whose sparse steps are cheap
 DIRECT = 2500  # rows or columns, whichever are fewer, of which a ridge forms the products
 BLOCK = 2**23  # entries of the columns that are summed at a time
-
-
-@dataclass(frozen=True, eq=False)
-class WorkingSet:
-    """The columns J of a working set, index (j,), with what kernels need of them.
-
-    cross B = Z_J'Y/m (j, q); gram Z_J'Z_J/m (j, j), None for kernels that work on Z_J; store
-    (s, m): Z_J' and space for further columns, whose pages are not touched before; None where it
-    would be large, or the design is sparse. rotations: block descent has orthogonal columns within
-    each block, Z_g Q_g with the eigenvectors Q_g of Z_g'Z_g, which leaves |V_g| as it is; positions
-    (b, size) of the blocks of one size, and Q_g' (b, size, size).
-    """
-
-    design: Design
-    target: Array
-    penalty: Penalty
-    index: IntArray
-    cross: Array
-    store: Array | None
-    gram: Array | None
-    rotations: tuple[tuple[IntArray, Array], ...] | None = None
-
-    def extended(self, new: IntArray, cross: Array, by_gram: bool) -> WorkingSet:
-        """The set with the columns ``new``, whole blocks, at its end; cross is Z'Y/m (k, q)."""
-        blocks, old, gram, rotations = self.penalty.blocks, len(self.index), None, self.rotations
-        new = new[np.argsort(blocks[new], kind="stable")]
-        index, pull = np.concatenate([self.index, new]), np.concatenate([self.cross, cross[new]])
-        store = self.store if self.design.shape[0] * len(index) <= STORED else None
-        if store is not None:
-            store[old : len(index)] = self.design.columns(new).T
-        if store is not None and rotations is not None:
-            first, sizes = np.unique(blocks[new], return_index=True, return_counts=True)[1:]
-            for size in np.unique(sizes):
-                part = old + np.add.outer(first[sizes == size], np.arange(size))
-                rows = store[part]
-                rotation = np.linalg.eigh(rows @ rows.transpose(0, 2, 1))[1].transpose(0, 2, 1)
-                store[part], pull[part] = rotation @ rows, rotation @ pull[part]
-                rotations = (*rotations, (part, rotation))
-        if by_gram and self.gram is not None:
-            gram = np.empty((len(index), len(index)))
-            gram[:old, :old] = self.gram
-            if store is not None:
-                gram[old:] = store[old : len(index)] @ store[: len(index)].T / self.design.samples
-            else:
-                gram[old:] = self.design.products(new, index)
-            gram[:old, old:] = gram[old:, :old].T
-        return replace(self, index=index, cross=pull, store=store, gram=gram, rotations=rotations)
-
-    @cached_property
-    def problem(self) -> Columns:
-        """The problem on these columns, as kernels take it; Z_J of a sparse design is sparse."""
-        part = self.penalty.restricted(self.index)
-        assert part is not None
-        rows: Any = None if self.store is None else self.store[: len(self.index)].T
-        direction = self.design.direction if rows is None else None
-        if self.gram is None and rows is None:
-            rows = self.design.csc[:, self.index]
-            rows.data = rows.data / np.repeat(self.design.rms[self.index], np.diff(rows.indptr))
-        own = (self.design.samples, self.gram, rows, self.target, direction)
-        return Columns(part, self.cross, *own)
-
-    def fitted(self, values: Array) -> Array:
-        """Z_J V (m, q) of V (j, q)."""
-        if self.store is not None:
-            fitted: Array = (values.T @ self.store[: len(values)]).T
-            return fitted  # V is narrow: numpy is slower the other way round
-        full = np.zeros((self.design.shape[1], values.shape[1]))
-        full[self.index] = values
-        return self.design.predict(full)
-
-    def unrotated(self, values: Array) -> Array:
-        """V (a, j, q) of the columns of Z, from those of the rotated ones."""
-        out = values.copy()
-        for part, rotation in self.rotations or ():
-            out[:, part] = rotation.transpose(0, 2, 1) @ values[:, part]
-        return out
 
 
 def exact_path(
@@ -234,9 +156,10 @@ def _with_working_set(
     store = None if stays else np.empty((min(k, STORED // m), m))
     whole = store is not None and len(store) == k
     rotations = () if name == "variational" and whole and k > FEW else None
-    working = WorkingSet(
-        design, target, penalty, index[:0], cross[:0], store, np.zeros((0, 0)), rotations
-    )
+    working = Columns(
+        *(penalty, cross[:0], np.zeros((0, 0))), design=design, target=target, whole=penalty,
+        index=index[:0], store=store, rotations=rotations,
+    )  # fmt: skip
     points, new = Points.zeros(count, cross), index
     settled = 0 if rotations is None else AHEAD  # penalties that are not solved roughly first
     done, warm_starts = 0, {BEGIN: np.zeros((len(index), q))}
@@ -252,7 +175,7 @@ def _with_working_set(
         here = alphas[done : done + (settled or AHEAD)]
         is_rough = not settled and size < k and name not in ("homotopy", "variational")
         goal = DESCENDED if name == "block descent" else STOP
-        batch = KERNELS[name](working.problem, here, warm_starts, ROUGH if is_rough else goal)
+        batch = KERNELS[name](working, here, warm_starts, ROUGH if is_rough else goal)
         here, is_rough = here[: len(batch.weights)], is_rough and not batch.complete.all()
         warm_starts |= dict(zip(here.tolist(), batch.weights, strict=True))
         near = 0.0 if name == "newton" else NEAR  # whose steps cost more with each column
@@ -270,7 +193,7 @@ def _with_working_set(
 
 
 def _violations(
-    working: WorkingSet, alphas: Array, values: Array, near: float
+    working: Columns, alphas: Array, values: Array, near: float
 ) -> tuple[int, IntArray]:
     """Test the optimality conditions of the columns outside a working set.
 
@@ -278,7 +201,7 @@ def _violations(
     violation, and the columns to join, sorted: units that violate the conditions of the first three
     solutions with a violation, or whose dual norm there exceeds (1 - near) alpha.
     """
-    (count, size, q), penalty, design = values.shape, working.penalty, working.design
+    (count, size, q), penalty, design = values.shape, working.whole, working.design
     k, units = design.shape[1], penalty.units
     flat = np.ascontiguousarray(values.transpose(1, 0, 2)).reshape(size, count * q)
     residual = np.tile(working.target, (1, count)) - working.fitted(flat)
@@ -385,7 +308,7 @@ def _root_path(
         if not len(at):
             break
         squares, here = exact_path(design, target, inner, np.sqrt(x[at]), cross=cross), x[at]
-        values, words, solved = squares.weights, f"{squares.words}", squares.complete
+        values, words, solved = squares.weights, squares.words, squares.complete
         points.steps[at] += squares.steps.sum()
         misfit = np.array([np.square(target - design.predict(v)).sum() for v in values])
         misfit /= design.samples

@@ -28,12 +28,11 @@ from sparsefit.regression.group_penalties import GroupNorms, NestedNorms, in_ord
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, Penalty
 from sparsefit.solvers.newton import (
-    Columns,
-    Growing,
     relative_gap,
     solved_by_newton,
     towards_clusters_optimum,
 )
+from sparsefit.solvers.working_set import Columns, Growing
 
 ROUGH = 1e-5  # relative gap that suffices to extend a working set
 ROUGH_CHANGE = 1e-4  # the same of descent: the change of Z V/sqrt(m) by a sweep
@@ -216,7 +215,6 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
     Source: Larsson, Klopfenstein, Massias and Wallin, "Coordinate descent for SLOPE" (2023).
     """
     assert isinstance(on.penalty, SortedNorm)
-    target: Any = on.target
     gram, rows = None if on.gram is None else np.ascontiguousarray(on.gram), on.rows
     x = np.cos(np.arange(len(on.cross)))[:, None]
     for _ in range(POWERS):  # the largest eigenvalue of G; opposite columns have no constant one
@@ -225,8 +223,9 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
     penalty, sums = on.penalty, np.concatenate([[0.0], np.cumsum(on.penalty.weights)])
     columns, trail, bends = None, list[tuple[float, Array]](), gram is None
     if gram is None:
-        means = np.zeros(len(x)) if on.direction is None else rows.T @ on.direction
-        columns = (rows.data, rows.indices, rows.indptr, on.samples, means)
+        along = on.design.direction
+        means = np.zeros(len(x)) if along is None else rows.T @ along
+        columns = (rows.data, rows.indices, rows.indptr, on.design.samples, means)
 
     def improved(alpha: float, values: Array) -> tuple[Array, float, int]:
         nonlocal bends
@@ -244,7 +243,7 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
             if gap <= stop or rounds > since + CLUSTERED // 5:  # far from a solution
                 break
             values = penalty.prox(values + step * pull, step * alpha)
-            state = target - on.off(rows @ values) if columns else on.cross - on.times(values)
+            state = on.target - on.fitted(values) if columns else on.cross - on.times(values)
             price = alpha * sums
             met = not sweep(gram, columns, price, state[:, 0], values[:, 0], SWEEPS)
             going = not met or rounds >= ALIKE
@@ -294,7 +293,7 @@ def path_on_gram(
     if order is not None and (ordered := penalty.restricted(order)) is not None:
         points = path_on_gram(gram[np.ix_(order, order)], cross[order], ordered, alphas, square)
         return replace(points, weights=points.weights[:, np.argsort(order)])
-    on = Columns(penalty.in_units(level), cross / level, 0, gram, growing=growing)
+    on = Columns(penalty.in_units(level), cross / level, gram, growing=growing)
     goal = DESCENDED if name == "block descent" else STOP
     points = KERNELS[name](on, alphas / level, {BEGIN: np.zeros(cross.shape)}, goal)
     return replace(points, weights=points.weights * level, words=f"{name}, all columns")

@@ -21,164 +21,22 @@ semismooth Newton augmented Lagrangian method for solving Lasso problems", SIAM 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from sparsefit.arrays import Array, IntArray
-from sparsefit.cached import cached_property
+from sparsefit.arrays import Array
 from sparsefit.regression.certificate import SHARES
-from sparsefit.regression.design import Design
 from sparsefit.regression.ordered_penalties import SortedNorm
-from sparsefit.regression.penalties import Penalty
+from sparsefit.solvers.working_set import Columns, definite
 
 OUTER, INNER, HALVINGS = 60, 50, 25
 FIRST, LARGEST = 10.0, 1e6  # steps of the proximal point, for columns of unit rms
 PATIENCE = 6  # proximal points without a smaller gap
 EXACT, GRADIENTS = 1e-13, 2000  # relative residual, and the most steps of conjugate gradients
-JOINING, MANY = 8, 32  # rows of G that are formed first, then as many again; all after so many
 STEPS = 500  # conjugate gradients at most for the levels of clusters
 INEXACT = 0.1  # of the first residual, to which they are solved where two clusters meet
 SHIFT = 1e-13  # of unit columns, where clusters are more than samples
-
-
-class Growing:
-    """Rows of G = Z'Z/m (k, k) of a design, formed as columns enter: values (k, k), ready (k,).
-
-    With a column come those that are most correlated with the residual.
-    """
-
-    def __init__(self, design: Design) -> None:
-        self.design, k = design, design.shape[1]
-        self.values, self.ready = np.zeros((k, k)), np.zeros(k, np.uint8)
-        design.share_rows(self.values, self.ready)  # with certificates
-
-    def fill(self, column: int, correlation: Array) -> None:
-        """Form the row of a column and some others; all, where MANY are not enough."""
-        count = np.count_nonzero(self.ready)
-        if count >= MANY:
-            self.complete()
-            return
-        rank = np.where(self.ready, -1.0, np.abs(correlation))
-        rank[column] = np.inf
-        index = np.sort(np.argsort(-rank, kind="stable")[: max(JOINING, count)])
-        self.values[index], self.ready[index] = self.design.products(index, slice(None)), True
-
-    def complete(self) -> None:
-        """Form all rows."""
-        self.values[:], self.ready[:] = self.design.gram, True
-
-
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """The problem on the columns J of a working set, for a target of unit rms, |Y|^2/m = 1.
-
-    penalty: on these columns; cross B = Z_J'Y/m (j, q); gram G = Z_J'Z_J/m (j, j), or None, where
-    the rows Z_J (m, j) are used, dense or scipy's CSC; target Y (m, q), for descent on residuals.
-    direction e (m,), |e| = 1, is to be projected off the rows. growing: by what G is formed.
-    """
-
-    penalty: Penalty
-    cross: Array
-    samples: int
-    gram: Array | None
-    rows: Any = None
-    target: Array | None = None
-    direction: Array | None = None
-    growing: Growing | None = None
-
-    def times(self, values: Array) -> Array:
-        """G V (j, q) of V (j, q)."""
-        if self.gram is not None:
-            return np.asarray(self.gram @ values)
-        assert self.rows is not None
-        return np.asarray(self.across @ self.off(self.rows @ values) / self.samples)
-
-    @cached_property
-    def across(self) -> Any:
-        """Z_J' (j, m), a view, which scipy takes longer to make than to multiply."""
-        return self.rows.T
-
-    def off(self, rows: Array) -> Array:
-        """(I - e e') R of R (m, ...); R itself where there is no e."""
-        if self.direction is None:
-            return rows
-        out: Array = rows - np.multiply.outer(self.direction, self.direction @ rows)
-        return out
-
-    @cached_property
-    def roots(self) -> tuple[Array, Array, float]:
-        """Rows R (r, j), targets T (q, r) and their number c: R'R = c G and R'T' = c B.
-
-        Z_J and the target or, of G alone, its pivoted Cholesky factor, with c = 1.
-        """
-        if self.gram is None:
-            assert self.rows is not None
-            assert self.target is not None
-            return self.rows, self.target.T, float(self.samples)
-        from scipy.linalg.lapack import dpstrf, dtrtrs
-
-        root, pivots, rank, _ = dpstrf(self.gram.T)
-        rows, order = np.zeros((rank, len(root)), order="F"), pivots - 1
-        root[np.tril_indices(rank, -1)] = 0.0
-        rows[:, order] = root[:rank]
-        target, _ = dtrtrs(root[:rank, :rank], self.cross[order[:rank]], trans=1)
-        return rows, np.ascontiguousarray(target.T), 1.0
-
-    def solved(self, on: IntArray, factor: Any, pull: Array, step: float, targets: int) -> Array:
-        """s N (I + s N'G N)^-1 N' pull (c,) on the coefficients ``on`` (c,), flat in (j, q)."""
-        right = pull if factor is None else factor.T @ pull
-        if self.rows is not None and len(right) > targets * self.rows.shape[0]:
-            column, target = np.divmod(on, targets)
-            tall = self._dense(column) * np.sqrt(step / self.samples)
-            if targets > 1:  # each has rows of its own
-                apart = np.zeros((len(on), targets, len(tall)))
-                apart[np.arange(len(on)), target] = tall.T
-                tall = apart.reshape(len(on), -1).T
-            tall = tall if factor is None else (factor.T @ tall.T).T
-            outer = tall @ tall.T
-            outer.flat[:: len(outer) + 1] += 1.0
-            y = right - tall.T @ _nearest(outer, tall @ right)
-        else:
-            square = step * self.within(on, factor, targets)
-            square.flat[:: len(square) + 1] += 1.0
-            y = _nearest(square, right)
-        lifted: Array = step * (y if factor is None else factor @ y)
-        return lifted
-
-    def _dense(self, columns: IntArray) -> Array:
-        assert self.rows is not None
-        part = self.rows[:, columns]
-        return part if isinstance(part, np.ndarray) else self.off(part.toarray())
-
-    def within(self, on: IntArray, factor: Any, targets: int) -> Array:
-        """N'G N on the coefficients ``on`` (c,), flat in (j, q), of N (c, d), None for identity."""
-        column, target = np.divmod(on, targets)
-        if self.gram is not None:
-            square = self.gram.take(column, 0).take(column, 1)
-        else:
-            part = self._dense(column)
-            square = part.T @ part / self.samples
-        if targets > 1:
-            square = np.where(target[:, None] == target, square, 0.0)
-        return square if factor is None else factor.T @ (factor.T @ square).T
-
-
-def definite(matrix: Array, right: Array) -> Array | None:
-    """The solution of a symmetric positive definite system; None where Cholesky's method fails."""
-    from scipy.linalg.lapack import dposv
-
-    _, solution, failed = dposv(matrix.T, right, lower=1)
-    return None if failed else solution
-
-
-def _nearest(matrix: Array, right: Array) -> Array:
-    """The solution of a positive definite system, or of least squares where Cholesky fails."""
-    solution = definite(matrix, right)
-    if solution is None:
-        solution = np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-14)[0])
-    return solution
 
 
 def by_gradients(

@@ -12,34 +12,30 @@ from sparsefit.regression.group_penalties import GroupNorms, NestedNorms
 from sparsefit.regression.ordered_penalties import SortedNorm
 from sparsefit.regression.penalties import AbsoluteValues, BoundedValues, SquaredNorm
 from sparsefit.regression.problem import RegressionProblem
-from sparsefit.solvers import exact, kernels
+from sparsefit.solvers import exact, kernels, working_set
 from sparsefit.solvers.descent import descent_path
 from sparsefit.solvers.exact import exact_path
 from sparsefit.solvers.kernels import BEGIN, KERNELS, STOP, kernel_for
-from sparsefit.solvers.newton import (
-    Columns,
-    relative_gap,
-    solved_by_newton,
-    towards_clusters_optimum,
-)
+from sparsefit.solvers.newton import relative_gap, solved_by_newton, towards_clusters_optimum
+from sparsefit.solvers.working_set import Columns
 
 homotopy = pytest.importorskip("sparsefit.solvers.homotopy", reason="it was not compiled")
 variances = pytest.importorskip("sparsefit.solvers.variances", reason="it was not compiled")
 K = 24
 
 
-def penalties(columns):
-    groups, count = np.arange(columns) // 3, columns // 3
+def penalties(k):
+    groups, count = np.arange(k) // 3, k // 3
     uneven = GroupNorms(groups, np.linspace(0.5, 1.0, count))
     return {
-        "LASSO": AbsoluteValues(np.ones(columns)),
-        "adaptive": AbsoluteValues(np.geomspace(0.1, 3.0, columns)),
-        "elastic net": AbsoluteValues(np.ones(columns), ridge=0.3),
-        "adaptive elastic net": AbsoluteValues(np.geomspace(0.1, 3.0, columns), ridge=2.0),
-        "SLOPE": SortedNorm(np.linspace(1.0, 0.3, columns)),
+        "LASSO": AbsoluteValues(np.ones(k)),
+        "adaptive": AbsoluteValues(np.geomspace(0.1, 3.0, k)),
+        "elastic net": AbsoluteValues(np.ones(k), ridge=0.3),
+        "adaptive elastic net": AbsoluteValues(np.geomspace(0.1, 3.0, k), ridge=2.0),
+        "SLOPE": SortedNorm(np.linspace(1.0, 0.3, k)),
         "groups": GroupNorms(groups, np.ones(count)),
         "weighted groups": GroupNorms(groups, np.linspace(0.5, 2.0, count)),
-        "nested groups": NestedNorms(uneven, AbsoluteValues(np.full(columns, 0.3))),
+        "nested groups": NestedNorms(uneven, AbsoluteValues(np.full(k, 0.3))),
     }
 
 
@@ -57,7 +53,7 @@ def problem(seed, samples=40, targets=1, correlated=True):
 
 
 def path_of(z, y, penalty, alphas, stretches):
-    on = Columns(penalty, z.T @ y / len(z), len(z), z.T @ z / len(z), z)
+    on = Columns(penalty, z.T @ y / len(z), z.T @ z / len(z), z)
     kernel, attempts, parts = KERNELS[kernel_for(penalty, y.shape[1])], {BEGIN: 0.0 * on.cross}, []
     for part in np.array_split(alphas, stretches):
         parts.append(kernel(on, part, attempts, STOP))
@@ -75,7 +71,7 @@ def test_going_on_is_going_at_once_and_compiled_is_generic(kind, seed):
     alphas = float(penalty.dual_norm(cross).max()) * np.geomspace(1.0, 3e-3, 9)
     values = path_of(z, y, penalty, alphas, 1)
     np.testing.assert_allclose(path_of(z, y, penalty, alphas, 4), values, atol=1e-5)
-    on = Columns(penalty, cross, len(z), z.T @ z / len(z), z)
+    on = Columns(penalty, cross, z.T @ z / len(z), z)
     for alpha, point in zip(alphas[3::5], values[3::5], strict=True):
         start = np.zeros(cross.shape)
         generic, gap, _ = solved_by_newton(on, float(alpha), start, 1e-13)
@@ -116,7 +112,8 @@ def test_groups_that_outnumber_rows_are_descended_to_one_optimum(targets, most, 
     largest = float(penalty.dual_norm(design.correlate(target)).max())
     alphas = largest * np.geomspace(1.0, 3e-2, 12)
     with monkeypatch.context() as patch:
-        patch.setattr(exact, "STORED", 0)  # without rows there is no descent
+        for home in (exact, working_set):
+            patch.setattr(home, "STORED", 0)  # without rows there is no descent
         whole = exact.exact_path(design, target, penalty, alphas)
     monkeypatch.setattr(kernels, "MOST", most)
     if most > 1:
@@ -204,7 +201,7 @@ def test_the_gap_by_sums_is_that_of_the_certificate(kind):
     box = BoundedValues(np.ones(K), np.full(K, -0.5), np.full(K, 0.3))
     (z, y), penalty = problem(2), PENALTIES.get(kind, box)
     values = penalty.prox(np.random.default_rng(0).normal(size=(K, 1)), 0.2)
-    on = Columns(penalty, z.T @ y / 40, 40, z.T @ z / 40)
+    on = Columns(penalty, z.T @ y / 40, z.T @ z / 40)
     gap = relative_gap(on, 0.1, values, on.cross - on.times(values))
     (expected,) = duality_gaps(Design(z, 40), y, values[None], np.array([0.1]), penalty)
     assert gap == pytest.approx(expected.value, rel=1e-9)
@@ -218,20 +215,20 @@ def test_newtons_system_is_solved_by_few_rows_as_it_is_by_columns(width, q):
     gram, pull = z.T @ z / 9, rng.normal(size=K * q)
     square = np.eye(lift.shape[1]) + 3.0 * lift.T @ np.kron(gram, np.eye(q)) @ lift
     expected = 3.0 * lift @ np.linalg.solve(square, lift.T @ pull)
-    for store in ({"gram": gram}, {"gram": None, "rows": z}):
-        on = Columns(PENALTIES["LASSO"], z.T @ y / 9, 9, **store)
+    for store in ({"gram": gram}, {"gram": None, "rows": z, "design": Design(z, 9)}):
+        on = Columns(PENALTIES["LASSO"], z.T @ y / 9, **store)
         assert on.solved(every, lift if width else None, pull, 3.0, q) == pytest.approx(expected)
 
 
 def test_clusters_that_meet_on_the_way_to_their_optimum_are_pooled_where_the_objective_falls():
     """G = I, lambda = (2, 1): from (2, 1) to (1, 3), which is pooled to 2, the optimum of one."""
     penalty, pull = SortedNorm(np.array([2.0, 1.0])), np.array([[3.0], [-4.0]])
-    on = Columns(penalty, pull, 1, np.eye(2))
+    on = Columns(penalty, pull, np.eye(2))
     pooled, met = towards_clusters_optimum(on, 1.0, np.array([[2.0], [-1.0]]))
     moved, meets = towards_clusters_optimum(on, 1.0, pooled)
     assert np.hstack([pooled, moved]) == pytest.approx(np.array([[2.0, 2.0], [-2.0, -2.0]]))
     assert (met, meets) == (True, False)
-    steep = Columns(penalty, np.array([[102.0], [-4.0]]), 1, np.diag([100.0, 1.0]))
+    steep = Columns(penalty, np.array([[102.0], [-4.0]]), np.diag([100.0, 1.0]))
     near, meet = np.array([[1.1], [-1.0]]), 1.1 - 0.1 * 0.1 / 2.1
     assert towards_clusters_optimum(steep, 1.0, near)[0] == pytest.approx(meet * np.sign(near))
 
