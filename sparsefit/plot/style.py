@@ -7,9 +7,9 @@ import math
 import re
 import textwrap
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial, wraps
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, cast
 
 import numpy as np
 
@@ -39,6 +39,9 @@ STYLE: dict[Any, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.linewidth": 0.6,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 3.5,
+    "lines.markeredgewidth": 0.0,
     "xtick.major.width": 0.6,
     "ytick.major.width": 0.6,
     "axes.grid": True,
@@ -88,14 +91,38 @@ def styled(
     return drawn
 
 
-def panels(rows: int, columns: int, *, height: float) -> tuple[Figure, list[list[Axes]]]:
+def panels(
+    rows: int, columns: int, *, height: float, sharey: Literal["row", "none"] = "none"
+) -> tuple[Figure, list[list[Axes]]]:
     """Return a figure of the width of its style with a grid of axes that do not overlap."""
     from matplotlib.figure import Figure
 
     figure = Figure(dpi=150, layout="constrained")
     figure.set_figheight(height)
-    grid = figure.subplots(rows, columns, squeeze=False)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=sharey)
     return figure, [list(row) for row in grid]
+
+
+def tidy(grid: Sequence[Sequence[Axes]]) -> Figure:
+    """Return the figure of panels with a legend; labels that neighbours share stand there once."""
+    figure = cast("Figure", grid[0][0].get_figure())
+    letters = round(100 / 7 * figure.get_figwidth()) // len(grid[0])
+    texts = [[(axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) for axes in row]
+             for row in grid]  # fmt: skip
+    for place, at in np.ndindex(len(grid), len(grid[0])):
+        axes, (x_label, y_label, title) = grid[place][at], texts[place][at]
+        if place + 1 < len(grid) and texts[place + 1][at][0] == x_label:
+            axes.tick_params(labelbottom=axes.get_xlim() != grid[place + 1][at].get_xlim())
+            x_label = ""
+        if at and texts[place][at - 1][1] == y_label:
+            axes.tick_params(labelleft=axes.get_ylim() != grid[place][at - 1].get_ylim())
+            y_label = ""
+        if place and texts[place - 1][at][2] == title:
+            title = ""
+        axes.set(xlabel=wrapped(x_label, letters), ylabel=y_label)
+        axes.title.set_text(wrapped(title, letters))  # in its own size
+    legend(figure)
+    return figure
 
 
 def logarithmic(axis: Axis, low: float, high: float) -> None:
@@ -131,16 +158,29 @@ def level_axis(axes: Axes, levels: Array) -> None:
     axes.set_xlim(*scale.inverted().transform(np.array([low - room, high + room])))
 
 
-def legend(figure: Figure, every: Iterable[Axes]) -> None:
-    """Put one legend of all labelled lines above the panels, that of grey lines last."""
+def named_axis(axes: Axes, names: Sequence[str]) -> None:
+    """Write names along the x axis, slanted where they are long."""
+    figure: Any = axes.figure
+    room = 100 / 7 * figure.get_figwidth() / figure.axes[0].get_gridspec().ncols
+    short, slant = list(labels(names, 34).values()), dict[str, Any]()
+    if sum(map(len, short)) + 2 * len(short) > room:
+        short = list(labels(names, 48).values())
+        slant = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+    axes.set_xticks(range(len(short)), short, **slant)
+    axes.set_xlim(-0.5, len(short) - 0.5)
+    axes.grid(False, axis="x")
+
+
+def legend(figure: Figure) -> None:
+    """Put one legend of all labelled lines above the panels, in the order of their ids."""
     handles = {
         str(label): handle
-        for axes in every
+        for axes in figure.axes
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
     if not handles:
         return
-    ordered = sorted(handles, key=lambda name: handles[name].get_gid() == "line-others")
+    ordered = sorted(handles, key=lambda name: (len(gid := str(handles[name].get_gid())), gid))
     for columns in range(min(len(ordered), 6), 0, -1):
         shown = figure.legend([handles[name] for name in ordered], ordered,
                               loc="outside upper center", ncols=columns)  # fmt: skip

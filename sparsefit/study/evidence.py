@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sparsefit.codec import finite_or_none
-from sparsefit.plot.style import GREY, logarithmic, styled, wrapped
-from sparsefit.study.figures import Curve, Panel, Picture, drawn
+from sparsefit.plot.style import GREY, logarithmic, panels, styled, wrapped
+from sparsefit.study.figures import Picture, dressed
 from sparsefit.study.measures import factors
 from sparsefit.study.page import files_of, joined, linked
 from sparsefit.study.selection import Selection, headline, lines, verdict
@@ -134,27 +134,24 @@ def pareto(selection: Selection) -> Figure | None:
         for each in selection.ranked
         if (seen := selection.latencies.get(each.candidate)) and math.isfinite(seen["median"])
     ]
-    y_label = wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50)
-    points = [Curve(each.title, np.array([x]), np.array([each.evaluate])) for each, x, _ in timed]
-    style = {"ls": "", "ms": 5.0}
-    panel = Panel(points, "latency of one estimate [ms]", y_label, style=style, log="x")
     ranks = {each.title: criterion.sign * each.evaluate for each, *_ in timed}
-    figure = drawn([[panel]], 3.6, ranks)
-    if figure is None:
-        return None
-    (axes,) = figure.axes
-    axes.autoscale()
+    _, ((axes,),) = panels(1, 1, height=3.6)
     for each, x, slowest in timed:
+        axes.plot(x, each.evaluate, "o", gid=each.title)
         axes.hlines(each.evaluate, x, slowest, color=GREY, lw=0.6, zorder=1)
         axes.vlines(x, *each.between, color=GREY, lw=0.6, zorder=1)
         if each is selection.chosen:
-            axes.plot([x], [each.evaluate], "o", ms=13, mfc="none", mec="black", mew=1.0)
+            axes.plot(x, each.evaluate, "o", ms=13, mfc="none", mec="black", mew=1.0)
     front = sorted((x, ranks[each.title]) for each, x, _ in timed if not each.breaches)
     times, losses = np.array(front).reshape(-1, 2).T
     best = criterion.sign * np.minimum.accumulate(losses)
     axes.step(times, best, where="post", color=GREY, lw=0.9, ls="--", zorder=1)
-    logarithmic(axes.xaxis, *axes.xaxis.get_view_interval())
-    return figure
+    axes.set(
+        xlabel="latency of one estimate [ms]", xscale="log",
+        ylabel=wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50),
+    )  # fmt: skip
+    logarithmic(axes.xaxis, *axes.get_xlim())
+    return dressed([[axes]], ranks)
 
 
 def write_selection(
