@@ -9,7 +9,7 @@ import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial, wraps
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -92,7 +92,7 @@ def styled(
 
 
 def panels(
-    rows: int, columns: int, *, height: float, sharey: Literal["row", "none"] = "none"
+    rows: int, columns: int, *, height: float, sharey: Literal["row", "all", "none"] = "none"
 ) -> tuple[Figure, list[list[Axes]]]:
     """Return a figure of the width of its style with a grid of axes that do not overlap."""
     from matplotlib.figure import Figure
@@ -101,28 +101,6 @@ def panels(
     figure.set_figheight(height)
     grid = figure.subplots(rows, columns, squeeze=False, sharey=sharey)
     return figure, [list(row) for row in grid]
-
-
-def tidy(grid: Sequence[Sequence[Axes]]) -> Figure:
-    """Return the figure of panels with a legend; labels that neighbours share stand there once."""
-    figure = cast("Figure", grid[0][0].get_figure())
-    letters = round(100 / 7 * figure.get_figwidth()) // len(grid[0])
-    texts = [[(axes.get_xlabel(), axes.get_ylabel(), axes.get_title()) for axes in row]
-             for row in grid]  # fmt: skip
-    for place, at in np.ndindex(len(grid), len(grid[0])):
-        axes, (x_label, y_label, title) = grid[place][at], texts[place][at]
-        if place + 1 < len(grid) and texts[place + 1][at][0] == x_label:
-            axes.tick_params(labelbottom=axes.get_xlim() != grid[place + 1][at].get_xlim())
-            x_label = ""
-        if at and texts[place][at - 1][1] == y_label:
-            axes.tick_params(labelleft=axes.get_ylim() != grid[place][at - 1].get_ylim())
-            y_label = ""
-        if place and texts[place - 1][at][2] == title:
-            title = ""
-        axes.set(xlabel=wrapped(x_label, letters), ylabel=y_label)
-        axes.title.set_text(wrapped(title, letters))  # in its own size
-    legend(figure)
-    return figure
 
 
 def logarithmic(axis: Axis, low: float, high: float) -> None:
@@ -152,18 +130,12 @@ def level_axis(axes: Axes, levels: Array) -> None:
     if distinct.size <= 12:
         axes.set_xticks(distinct, [f"{level:g}" for level in distinct])
         axes.xaxis.set_minor_locator(NullLocator())
-    scale = axes.xaxis.get_transform()
-    low, high = scale.transform(distinct[[0, -1]].astype(float))
-    room = 0.05 * (high - low) or 0.5
-    axes.set_xlim(*scale.inverted().transform(np.array([low - room, high + room])))
 
 
-def named_axis(axes: Axes, names: Sequence[str]) -> None:
-    """Write names along the x axis, slanted where they are long."""
-    figure: Any = axes.figure
-    room = 100 / 7 * figure.get_figwidth() / figure.axes[0].get_gridspec().ncols
+def named_axis(axes: Axes, names: Sequence[str], letters: int) -> None:
+    """Write names along an x axis with room for so many letters, slanted where they are long."""
     short, slant = list(labels(names, 34).values()), dict[str, Any]()
-    if sum(map(len, short)) + 2 * len(short) > room:
+    if sum(map(len, short)) + 2 * len(short) > letters:
         short = list(labels(names, 48).values())
         slant = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
     axes.set_xticks(range(len(short)), short, **slant)
@@ -173,13 +145,9 @@ def named_axis(axes: Axes, names: Sequence[str]) -> None:
 
 def legend(figure: Figure) -> None:
     """Put one legend of all labelled lines above the panels, in the order of their ids."""
-    handles = {
-        str(label): handle
-        for axes in figure.axes
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    if not handles:
-        return
+    handles: dict[str, Any] = {}
+    for axes in figure.axes:
+        handles |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     ordered = sorted(handles, key=lambda name: (len(gid := str(handles[name].get_gid())), gid))
     for columns in range(min(len(ordered), 6), 0, -1):
         shown = figure.legend([handles[name] for name in ordered], ordered,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 import pandas as pd
@@ -72,7 +72,9 @@ def dressed(grid: Sequence[Sequence[Axes]], ranks: Ranks) -> Figure | None:
                 dashes = STYLES[(0 if is_grey else place if is_step else turn) % len(STYLES)]
                 dashes = "" if artist.get_linestyle() == "None" else dashes
                 artist.set(label=words, ls=dashes, marker="" if is_step else marker)
-    return style.tidy(grid)
+    figure = cast("Figure", grid[0][0].get_figure())
+    style.legend(figure)
+    return figure
 
 
 class Picture(NamedTuple):
@@ -132,10 +134,12 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
     ][:6]
     if not rows:
         return None
+    letters = round(100 / 7 * entry.width) // len(rows[0][-1])
     is_named = not all(pd.api.types.is_numeric_dtype(cases[along]) for along in swept)
     height = 0.8 + 0.7 * is_named + 2.1 * len(rows)
     _, grid = style.panels(len(rows), len(rows[0][-1]), height=height, sharey="row")
-    for axes_row, (along, each, words, row) in zip(grid, rows, strict=True):
+    for at, (axes_row, (along, each, words, row)) in enumerate(zip(grid, rows, strict=True)):
+        is_last = at + 1 == len(rows) or rows[at + 1][0] != along
         levels = tables.levels_of(whole, along)[seen].cat.remove_unused_categories()
         codes, levels = pd.Series(levels.cat.codes.to_numpy()), levels.cat.categories
         names = [] if pd.api.types.is_numeric_dtype(cases[along]) else list(levels)
@@ -157,13 +161,13 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
                     bars = zip(*itertools.starmap(measures.wilson, counts.to_numpy()), strict=True)
                     axes.vlines(x + shift, *bars, lw=0.8, alpha=0.7, gid=str(name))
             if names:
-                style.named_axis(axes, names)
+                style.named_axis(axes, names, letters)
             else:
                 style.level_axis(axes, x)
-            axes.set(
-                title=title, xlabel=with_unit(factor_words(along), unit_of(along)),
-                ylabel="\n".join(wrapped(text, 26) for text in beside if text),
-            )  # fmt: skip
+            axes.set_title("" if at else wrapped(title, letters))
+            axes.tick_params(labelbottom=is_last)
+            axes.set_xlabel(with_unit(factor_words(along), unit_of(along)) if is_last else "")
+        axes_row[0].set_ylabel("\n".join(wrapped(text, 26) for text in beside if text))
         _scale(axes_row, is_share=each.summary == "share")
         for axes, limit in itertools.product(axes_row, entry.limits):
             axes.axhline(limit, color=GREY, lw=0.8, ls="--", zorder=1)
@@ -195,9 +199,11 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
     if not panels:
         return None
     height = 3.3 if len(panels) == 1 else 1.0 + 2.0 * len(panels)
-    _, grid = style.panels(len(panels), len(panels[0][1]) * len(entry.measures), height=height)
+    columns = len(panels[0][1]) * len(entry.measures)
+    letters = round(100 / 7 * entry.width) // columns
+    _, grid = style.panels(len(panels), columns, height=height, sharey="all")
     for axes_row, (words, row) in zip(grid, panels, strict=True):
-        beside = f"{wrapped(words, 26)}\n\nshare of {kind} [%]".strip()
+        axes_row[0].set_ylabel(f"{wrapped(words, 26)}\n\nshare of {kind} [%]".strip())
         each_of = itertools.product(row, entry.measures)
         for axes, ((title, here), each) in zip(axes_row, each_of, strict=True):
             sizes = pd.Series(np.abs(each.read(here)), here.index)
@@ -219,10 +225,10 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
                 x = np.array([min([ends[0], *x[:1]]), *x, max([ends[1], *x[-1:]])])
                 y = [0.0, *share, share.max(initial=0.0)]
                 axes.plot(np.maximum(x, least), y, drawstyle="steps-post", gid=str(name))
-            axes.set(
-                title=title, xlabel=with_unit(each.words, each.unit), ylabel=beside,
-                xscale="log" if is_log else "linear", xlim=ends, ylim=(-2.0, 102.0),
-            )  # fmt: skip
+            axes.set(xscale="log" if is_log else "linear", xlim=ends, ylim=(-2.0, 102.0))
+            axes.set_title(wrapped(title, letters) if axes_row is grid[0] else "")
+            label = wrapped(with_unit(each.words, each.unit), letters)
+            axes.set_xlabel(label if axes_row is grid[-1] else "")
             if is_log:
                 style.logarithmic(axes.xaxis, *ends)
             for limit in entry.limits:
@@ -266,8 +272,9 @@ def scatter(entry: Entry, cases: pd.DataFrame) -> Figure | None:
                   "no answer": ~usable}  # fmt: skip
         words = ", ".join(f"{mask.sum()} {text}" for text, mask in counts.items() if mask.any())
         beside = f"{wrapped(title, 24)}\n\n" * (name == PARAMETERS[0])
-        axes.set(xscale=scale, yscale=scale, xlim=ends, ylim=ends, xlabel=f"true {label}",
-                 ylabel=f"{beside}estimated {label}")  # fmt: skip
+        axes.set(xscale=scale, yscale=scale, xlim=ends, ylim=ends)
+        axes.set_xlabel(f"true {label}" if title == titles[-1] else "")
+        axes.set_ylabel(f"{beside}estimated {label}")
         axes.set_title(words, fontsize=6.5, color=GREY)
         for axis in (axes.xaxis, axes.yaxis) if scale == "log" else ():
             style.logarithmic(axis, *ends)
