@@ -8,7 +8,7 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Sequence
-from functools import partial, wraps
+from functools import wraps
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
@@ -186,14 +186,10 @@ def labels(names: Sequence[str], length: int) -> dict[str, str]:
     return short if len(set(short.values())) == len(set(names)) else {name: name for name in names}
 
 
-def wrapped(text: str, width: int, indent: str = "") -> str:
-    """Return text in lines of at most `width` letters; a pair, `0 / 0`, is not divided.
-
-    All lines of a paragraph but the first stand behind `indent`.
-    """
+def wrapped(text: str, width: int) -> str:
+    """Return text in lines of at most `width` letters; a pair, `0 / 0`, is not divided."""
     lines = text.replace(" / ", "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}").split("\n")
-    fill = partial(textwrap.fill, subsequent_indent=indent, break_on_hyphens=False)
-    return "\n".join(fill(line, width) for line in lines)
+    return "\n".join(textwrap.fill(line, width, break_on_hyphens=False) for line in lines)
 
 
 def encoded(figure: Figure, suffix: str, name: str = "sparsefit") -> bytes:

@@ -162,6 +162,13 @@ class Table:
         ]
 
     @property
+    def levels(self) -> pd.Index:
+        """The headings as labels of a frame, behind those of groups if there are any."""
+        pairs = [(column.group, column.heading) for column in self.columns]
+        index = pd.MultiIndex.from_tuples(pairs)
+        return index if any(index.get_level_values(0)) else index.get_level_values(1)
+
+    @property
     def groups(self) -> list[tuple[str, int]]:
         """The heading and the width in columns of each group."""
         runs = itertools.groupby(column.group for column in self.columns)
@@ -205,11 +212,10 @@ class Table:
 
     def to_latex(self, label: str = "", most: int = 40) -> str:
         """Return a float with a booktabs table, which is scaled down to the width of a line."""
-        names = [(_tex(column.group), _tex(column.heading)) for column in self.columns]
-        heads: pd.Index = pd.MultiIndex.from_tuples(names)
-        if not any(column.group for column in self.columns):
-            heads = heads.get_level_values(1)
         cells = [list(map(_tex, row)) for row in self.texts(most)]
+        heads = self.levels.map(
+            lambda label: _tex(label) if isinstance(label, str) else tuple(map(_tex, label))
+        )
         text = (
             pd.DataFrame(cells, columns=heads)
             .style.hide(axis="index")
@@ -246,35 +252,15 @@ class Table:
     def to_text(self, width: int = 100, most: int = 100) -> str:
         """Return the table for a terminal of so many columns.
 
-        Nothing is cut: what is too long takes several lines, and columns that do not fit follow in
-        a further block behind the names.
+        Columns that do not fit follow in a further block behind the names; nothing is cut.
         """
-        is_text, texts = self.is_text, self.texts(most)
-        names = max(1, min([*is_text, False].index(False), len(self.columns) - 1))
-        room = max(int(0.6 * width) // names - 2, 12)
-        rows = [
-            [wrapped(text, room if at < names else most_of_cell, "  ").split("\n")
-             for at, text in enumerate(row)]
-            for row, most_of_cell in ((self.heads, 16), *((row, 28) for row in texts))
-        ]  # fmt: skip
-        sizes = [max(len(line) for cell in cells for line in cell)
-                 for cells in zip(*rows, strict=True)]  # fmt: skip
-        blocks = list[list[int]]()
-        for at in range(names, len(sizes)):
-            if not blocks or sum(sizes[own] + 2 for own in (*blocks[-1], at)) > width + 2:
-                blocks.append(list(range(names)))
-            blocks[-1].append(at)
-        printed = [
-            "\n".join(
-                "  ".join(f"{text:{'<' if is_text[at] else '>'}{sizes[at]}}"
-                          for at, text in zip(block, line, strict=True)).rstrip()
-                for row in rows
-                for line in itertools.zip_longest(*(row[at] for at in block), fillvalue="")
-            )
-            for block in blocks or [list(range(names))]
-        ]  # fmt: skip
+        names = min([*self.is_text, False].index(False), len(self.columns) - 1)
+        frame = pd.DataFrame(self.texts(most), columns=self.levels)
+        if names:
+            frame = frame.set_index(list(self.levels[:names])).rename_axis(self.heads[:names])
+        printed = frame.to_string(index=bool(names), line_width=width) if self.rows else "no rows"
         notes = [wrapped(note, width) for note in self.remarks(most)]
-        return "\n\n".join([self.title, *printed, *notes]) + "\n"
+        return "\n\n".join([self.title, printed, *notes]) + "\n"
 
     def __str__(self) -> str:
         return self.to_text()

@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -21,7 +22,7 @@ import pandas as pd
 
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.codec import Place, build
-from sparsefit.errors import InputError, one_of, suggestion, unknown
+from sparsefit.errors import InputError, one_of, unknown
 from sparsefit.study import measures, solver_times, trials
 from sparsefit.study.columns import STATUSES
 from sparsefit.study.crossing import spelled
@@ -81,45 +82,39 @@ def script_of(study: Any) -> Path | None:
     return Path(study.path).parent / name if name else None
 
 
-@contextmanager
-def _raised(name: str) -> Iterator[None]:
-    """Turn whatever code of the user raises into an `InputError`."""
-    try:
-        yield
-    except Exception as error:
-        raise InputError(f"{name} raised {type(error).__name__}: {error}") from None
-
-
 def functions_of(study: Any) -> dict[str, Callable[..., Any]]:
-    """Return the public functions of the study's script, by name.
+    """Return the public functions of the study's script, by name, which take the frame of cases.
 
-    Each takes the frame of cases, and the study if it has two arguments.
+    One with two arguments is given the study, too. Each refuses to return none of the types that
+    follow the cases.
 
     Raises:
-        InputError: with what the script raised.
+        InputError: with what the script, or a function of it, raised.
     """
     path = script_of(study)
-    with _raised(f"script {path}"):
+
+    @contextmanager
+    def raised(name: str) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            raise InputError(f"{name} raised {type(error).__name__}: {error}") from None
+
+    def of_cases(function: Callable[..., Any], cases: pd.DataFrame, *kinds: type) -> Any:
+        name = f"{path}: {function.__name__}(cases)"
+        with raised(name):
+            made = function(*(cases, study)[: len(signature(function).parameters)])
+        if kinds and not isinstance(made, kinds):
+            names = " and no ".join(kind.__name__ for kind in kinds)
+            raise InputError(f"{name} returned no {names}")
+        return made
+
+    with raised(f"script {path}"):
         names = runpy.run_path(str(path), run_name="script") if path else {}
     return {
-        name: value for name, value in names.items() if callable(value) and name[0] != "_"
-        and getattr(value, "__module__", "") == "script"
+        name: partial(of_cases, value) for name, value in names.items()
+        if callable(value) and name[0] != "_" and getattr(value, "__module__", "") == "script"
     }  # fmt: skip
-
-
-def call(function: Callable[..., Any], study: Any, cases: pd.DataFrame, *kinds: type) -> Any:
-    """Return what a function of a script gives of the cases.
-
-    Raises:
-        InputError: with what it raised, or if it returns none of the kinds asked for.
-    """
-    name = f"{script_of(study)}: {getattr(function, '__name__', 'script')}(cases)"
-    count = function.__code__.co_argcount if hasattr(function, "__code__") else 1
-    with _raised(name):
-        made = function(*(cases, study)[:count])
-    if not isinstance(made, kinds):
-        raise InputError(f"{name} returned no {' and no '.join(kind.__name__ for kind in kinds)}")
-    return made
 
 
 def is_predicted(cases: pd.DataFrame) -> bool:
@@ -164,7 +159,7 @@ def asked(
         name = str(given.get("name", ""))
         if isinstance(entry, str) and name not in declared:
             if name in functions:
-                yield name, partial(call, functions[name], study)
+                yield name, functions[name]
                 continue
             if name not in named:
                 raise unknown(kind, name, [*named, *functions])
@@ -185,9 +180,7 @@ def asked(
 def check_columns(cases: pd.DataFrame, names: Sequence[str], key: str) -> None:
     """Raise `InputError` with the nearest name if the cases lack a column; key: what names it."""
     for name in names:
-        if name not in cases:
-            near = suggestion(name, map(str, cases.columns))
-            raise InputError(f'{key}: the cases have no column "{name}"{near}')
+        one_of(f"column of {key}", name, map(str, cases.columns), "cases.parquet")
 
 
 def grouped(
