@@ -194,6 +194,7 @@ def compare(args: argparse.Namespace) -> Reply:
     from sparsefit.study import compare as comparing
     from sparsefit.study.store import read_cases
     from sparsefit.study.study import Study
+    from sparsefit.study.table import Table
 
     def cases(name: str) -> pd.DataFrame:
         is_folder = Path(name).is_dir()
@@ -202,7 +203,7 @@ def compare(args: argparse.Namespace) -> Reply:
     limit = comparing.TOLERANCE if args.tolerance is None else args.tolerance
     limit, names = non_negative("--tolerance", limit), (args.first, args.second)
     both = comparing.compare(cases(args.first), cases(args.second), names, limit)
-    lines = [both.table.to_text(terminal_width())] if len(both.changes) else []
+    lines = [Table.of(both.changes).to_text(terminal_width())] if len(both.changes) else []
     return Reply(both.record(), [*lines, both.sentence], int(both.differs))
 
 

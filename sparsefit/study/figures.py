@@ -117,7 +117,7 @@ def axes_of(entry: Entry, cases: pd.DataFrame) -> list[str]:
     return axes
 
 
-def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
+def lines(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     """Draw measures along a factor, a line per value of `lines`, a row of panels per measure.
 
     Levels of `columns` and `rows` have their own panels; all other factors are pooled. Shares have
@@ -171,8 +171,19 @@ def lines(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figu
         _scale(axes_row, is_share=each.summary == "share")
         for axes, limit in itertools.product(axes_row, entry.limits):
             axes.axhline(limit, color=GREY, lw=0.8, ls="--", zorder=1)
-    names_of, first = cases[entry.lines].astype(str), pd.Series(entry.measures[0].values(cases))
-    return dressed(grid, ranks or first.groupby(names_of).agg(entry.measures[0].summary_of))
+    first = entry.measures[0]
+    return dressed(grid, _ranks(entry, cases, pd.Series(first.values(cases)), first.summary_of))
+
+
+def _ranks(
+    entry: Entry, cases: pd.DataFrame, values: pd.Series, summary: Callable[..., float]
+) -> pd.Series:
+    """Return the best rank of each line in a row of panels, by a summary of values (rows,)."""
+    keys = [cases[name].astype(str) for name in (*entry.rows, entry.lines)]
+    scores = values.groupby(keys, sort=False).agg(summary)
+    if rows := list(range(len(entry.rows))):
+        scores = scores.groupby(level=rows).rank()
+    return scores.groupby(level=-1).min()
 
 
 def _scale(row: Sequence[Axes], *, is_share: bool) -> None:
@@ -189,7 +200,7 @@ def _scale(row: Sequence[Axes], *, is_share: bool) -> None:
         axes.autoscale(False)
 
 
-def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figure | None:
+def ecdf(entry: Entry, cases: pd.DataFrame) -> Figure | None:
     """Draw the distribution function of the size of each measure over all cases, failures included.
 
     Each axis ends at the 90 % quantile of the sizes.
@@ -233,8 +244,8 @@ def ecdf(entry: Entry, cases: pd.DataFrame, ranks: Ranks | None = None) -> Figur
                 style.logarithmic(axes.xaxis, *ends)
             for limit in entry.limits:
                 axes.axvline(limit, color=GREY, lw=0.8, ls="--", zorder=1)
-    first = pd.Series(np.abs(entry.measures[0].read(cases))).fillna(math.inf)
-    return dressed(grid, ranks or first.groupby(cases[entry.lines].astype(str)).median())
+    sizes = pd.Series(np.abs(entry.measures[0].read(cases))).fillna(math.inf)
+    return dressed(grid, _ranks(entry, cases, sizes, np.median))
 
 
 def best_titles(cases: pd.DataFrame) -> list[str]:
@@ -289,13 +300,9 @@ LAYOUTS: Mapping[str, Callable[[Entry, pd.DataFrame], Figure | None]] = {
     **dict.fromkeys(("settings", "lines", "protocols"), lines),
     **{"ecdf": ecdf, "scatter": scatter},
     # performance profiles of solvers (Dolan and More, 2002), and the times problem by problem
-    "profiles": lambda entry, cases: ecdf(
-        entry, solver_times.race(cases), solver_times.places(cases)
-    ),
+    "profiles": lambda entry, cases: ecdf(entry, solver_times.race(cases)),
     "shapes": lambda entry, cases: lines(
-        entry,
-        solver_times.race(cases, solver_times.accuracies(cases)[-1]),
-        solver_times.places(cases),
+        entry, solver_times.race(cases, solver_times.accuracies(cases)[-1])
     ),
 }
 
@@ -326,7 +333,10 @@ def _caption(entry: Entry, figure: Figure) -> str:
     """Return what a figure shows, and what its marks mean."""
     is_ecdf, units = entry.compare == "ecdf", {each.unit for each in entry.measures}
     shown = "Distribution functions of all planned cases, failures included"
-    said = [entry.title or (shown if is_ecdf else measures.phrases(entry.measures)), *entry.notes]
+    said = [
+        entry.title or (shown if is_ecdf else "; ".join(each.phrase for each in entry.measures)),
+        *entry.notes,
+    ]
     if is_ecdf and any(axes.get_xscale() == "log" for axes in figure.axes):
         said.append("Logarithmic axes end beyond the 90 % quantile")
     ends = [axes.get_xlim() if is_ecdf else axes.get_ylim() for axes in figure.axes]

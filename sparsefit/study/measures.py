@@ -24,7 +24,6 @@ import pandas as pd
 from sparsefit.arrays import Array, BoolArray, IntArray
 from sparsefit.errors import one_of, unknown
 from sparsefit.study.columns import PARAMETERS
-from sparsefit.study.table import listed
 
 Read: TypeAlias = "Callable[[pd.DataFrame], Array]"
 Statistic: TypeAlias = Callable[[Array], Array]  # of (..., units, cases), (...,)
@@ -266,16 +265,6 @@ def measure(words: str) -> Measure:
     one_of("summary", summary, SUMMARY_NAMES)
     own = MEASURES[name]
     return replace(own, summary=summary, format=own.format if summary == "value" else "")
-
-
-def phrases(every: Sequence[Measure]) -> str:
-    """Return measures in words, one phrase for several parameters: `median |error| of U0, L_w`."""
-    symbols: dict[str, list[str]] = {}
-    for each in every:
-        symbol = next((own for own in SYMBOLS.values() if own in each.words), "")
-        phrase = each.phrase.replace(symbol, "{}") if symbol else each.phrase
-        symbols.setdefault(phrase, []).append(symbol)
-    return "; ".join(phrase.format(listed(own, "and")) for phrase, own in symbols.items())
 
 
 def three(kind: str) -> tuple[str, ...]:

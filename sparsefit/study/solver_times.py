@@ -74,13 +74,6 @@ def is_race(cases: pd.DataFrame) -> bool:
     return bool((ran.groupby("objective")["solver"].nunique() > 1).any())
 
 
-def places(cases: pd.DataFrame) -> dict[str, int]:
-    """Return the best rank of every solver over the objectives, 0 for the fastest."""
-    every = times_to(cases, accuracies(cases)[-1]).values()
-    ranks = pd.concat([pd.Series(range(each.shape[1]), each.columns) for each in every])
-    return {str(name): int(rank) for name, rank in ranks.groupby(level=0).min().items()}
-
-
 def race(cases: pd.DataFrame, *levels: float) -> pd.DataFrame:
     """Return `seconds` and their `ratio` to the fastest by objective, accuracy, problem and solver.
 
