@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -71,22 +72,18 @@ def drawing(name: str, picture: Picture, svg: bytes = b"") -> Part | str:
             "<svg ", f'<svg style="width: {62 / 7 * figure.get_figwidth():g}rem" ', 1
         )
 
-    lines: dict[str, str] = {}
-    for axes in figure.axes:
-        for artist in (*axes.lines, *axes.collections):
-            if artist.get_gid() and not str(artist.get_label()).startswith("_"):
-                lines.setdefault(str(artist.get_gid()), str(artist.get_label()))
-    others = {gid: lines.pop(gid) for gid in ("line-others",) if gid in lines}
+    drawn = (line for axes in figure.axes for line in axes.lines if line.get_gid())
+    lines = {str(line.get_gid()): str(line.get_label()) for line in drawn if line.get_label()}
+    order = sorted(lines, key=lambda gid: (len(gid), gid))
     part = {"title": name.replace("-", " ").replace("_", " ").capitalize(),
-            "caption": picture.caption, "svg": inline(svg), "lines": lines | others}  # fmt: skip
-    turned = [
-        (axes, axis, view) for axes in figure.axes if lines
-        for axis, view in (("x", axes.get_xlim()), ("y", axes.get_ylim()))
-        if getattr(axes, f"get_{axis}scale")() == "log"
-    ]  # fmt: skip
-    for axes, axis, view in turned:
-        axes.set(**{f"{axis}scale": "linear", f"{axis}lim": (0.0, view[1])})
-    if turned:
+            "caption": picture.caption, "svg": inline(svg),
+            "lines": {gid: lines[gid] for gid in order}}  # fmt: skip
+    for axes, axis in itertools.product(figure.axes if lines else (), "xy"):
+        if getattr(axes, f"get_{axis}scale")() == "log":
+            end = getattr(axes, f"get_{axis}lim")()[1]
+            axes.set(**{f"{axis}scale": "linear", f"{axis}lim": (0.0, end)})
+            part["linear"] = ""
+    if "linear" in part:
         part["linear"] = inline(encoded(figure, ".svg", f"{name}-linear"))
     return part
 
