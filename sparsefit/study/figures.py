@@ -146,10 +146,10 @@ def lines(entry: Entry, cases: pd.DataFrame) -> Figure | None:
         x = np.array(range(len(names)) if names else levels, dtype=float)
         beside = (with_unit(each.head + each.heading, each.unit), words)
         for axes, (title, here) in zip(axes_row, row, strict=True):
-            every = list(here.groupby(entry.lines, sort=False, dropna=False))
+            values = pd.Series(each.values(here), here.index)
+            every = list(values.groupby(here[entry.lines], sort=False, dropna=False))
             for place, (name, own) in enumerate(every):
-                values = pd.Series(each.values(own), own.index).dropna()
-                by_level = values.groupby(codes[values.index])
+                by_level = own.dropna().groupby(codes)
                 y = by_level.agg(each.summary_of).reindex(range(len(x))).to_numpy(dtype=float)
                 y = np.where(
                     np.isfinite(y), np.where(np.abs(y) < each.least, each.least, y), np.nan
@@ -227,8 +227,9 @@ def ecdf(entry: Entry, cases: pd.DataFrame) -> Figure | None:
             elif finite.size and (each.more or finite.max() <= LOG_RANGE * finite.min()):
                 room, is_log = 0.05 * float(np.ptp(finite)) or 0.1 * high, False
                 ends = float(finite.min()) - room, float(finite.max()) + room
-            for name, own in here.groupby(entry.lines, sort=False) if finite.size else ():
-                x = np.sort(sizes[own.index])
+            names = here[entry.lines] if finite.size else here[entry.lines][:0]
+            for name, own in sizes.groupby(names, sort=False):
+                x = np.sort(own)
                 x = x[np.isfinite(x)]
                 share = 100.0 * np.arange(1, x.size + 1) / len(own)
                 every = slice(-1, None, -max(1, x.size // 200))  # enough for a figure
