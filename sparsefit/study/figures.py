@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
@@ -333,11 +334,14 @@ def figures(
 def _caption(entry: Entry, figure: Figure) -> str:
     """Return what a figure shows, and what its marks mean."""
     is_ecdf, units = entry.compare == "ecdf", {each.unit for each in entry.measures}
-    shown = "Distribution functions of all planned cases, failures included"
-    said = [
-        entry.title or (shown if is_ecdf else "; ".join(each.phrase for each in entry.measures)),
-        *entry.notes,
-    ]
+    phrases, parameter = dict[str, list[str]](), re.compile("|".join(SYMBOLS.values()))
+    for each in entry.measures:  # one phrase for several parameters
+        symbols = phrases.setdefault(parameter.sub("{}", each.phrase, count=1), [])
+        symbols += parameter.findall(each.phrase)[:1]
+    shown = "; ".join(words.format(listed(own or [""], "and")) for words, own in phrases.items())
+    if is_ecdf:
+        shown = "Distribution functions of all planned cases, failures included"
+    said = [entry.title or shown, *entry.notes]
     if is_ecdf and any(axes.get_xscale() == "log" for axes in figure.axes):
         said.append("Logarithmic axes end beyond the 90 % quantile")
     ends = [axes.get_xlim() if is_ecdf else axes.get_ylim() for axes in figure.axes]
