@@ -12,7 +12,7 @@ import numpy as np
 
 from sparsefit.codec import finite_or_none
 from sparsefit.plot.style import GREY, logarithmic, panels, styled, wrapped
-from sparsefit.study.figures import Picture, dressed
+from sparsefit.study.figures import Picture, dressed, scale
 from sparsefit.study.measures import factors
 from sparsefit.study.page import files_of, joined, linked
 from sparsefit.study.selection import Selection, headline, lines, verdict
@@ -137,7 +137,7 @@ def pareto(selection: Selection) -> Figure | None:
     ranks = {each.title: criterion.sign * each.evaluate for each, *_ in timed}
     _, ((axes,),) = panels(1, 1, height=3.6)
     for each, x, slowest in timed:
-        axes.plot(x, each.evaluate, "o", gid=each.title)
+        axes.plot(x, each.evaluate, "o", ms=5.0, gid=each.title)
         axes.hlines(each.evaluate, x, slowest, color=GREY, lw=0.6, zorder=1)
         axes.vlines(x, *each.between, color=GREY, lw=0.6, zorder=1)
         if each is selection.chosen:
@@ -151,6 +151,7 @@ def pareto(selection: Selection) -> Figure | None:
         ylabel=wrapped(f"{criterion.words} [{criterion.measure.unit}]", 50),
     )  # fmt: skip
     logarithmic(axes.xaxis, *axes.get_xlim())
+    scale([axes], is_share=False)
     return dressed([[axes]], ranks)
 
 

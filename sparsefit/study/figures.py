@@ -169,7 +169,7 @@ def lines(entry: Entry, cases: pd.DataFrame) -> Figure | None:
             axes.tick_params(labelbottom=is_last)
             axes.set_xlabel(with_unit(factor_words(along), unit_of(along)) if is_last else "")
         axes_row[0].set_ylabel("\n".join(wrapped(text, 26) for text in beside if text))
-        _scale(axes_row, is_share=each.summary == "share")
+        scale(axes_row, is_share=each.summary == "share")
         for axes, limit in itertools.product(axes_row, entry.limits):
             axes.axhline(limit, color=GREY, lw=0.8, ls="--", zorder=1)
     first = entry.measures[0]
@@ -187,7 +187,7 @@ def _ranks(
     return scores.groupby(level=-1).min()
 
 
-def _scale(row: Sequence[Axes], *, is_share: bool) -> None:
+def scale(row: Sequence[Axes], *, is_share: bool) -> None:
     """Set the range of y that a row of panels shares, logarithmic if it is wide."""
     first = row[0]
     low, high = np.array([axes.dataLim.intervaly for axes in row]).T
