@@ -184,7 +184,7 @@ def _ranks(
     scores = values.groupby(keys, sort=False).agg(summary)
     if rows := list(range(len(entry.rows))):
         scores = scores.groupby(level=rows).rank()
-    return scores.groupby(level=-1).min()
+    return scores.groupby(level=-1).min().dropna()
 
 
 def scale(row: Sequence[Axes], *, is_share: bool) -> None:
@@ -228,8 +228,8 @@ def ecdf(entry: Entry, cases: pd.DataFrame) -> Figure | None:
             elif finite.size and (each.more or finite.max() <= LOG_RANGE * finite.min()):
                 room, is_log = 0.05 * float(np.ptp(finite)) or 0.1 * high, False
                 ends = float(finite.min()) - room, float(finite.max()) + room
-            names = here[entry.lines] if finite.size else here[entry.lines][:0]
-            for name, own in sizes.groupby(names, sort=False):
+            lines = sizes.groupby(here[entry.lines], sort=False, dropna=False)
+            for name, own in lines if finite.size else ():
                 x = np.sort(own)
                 x = x[np.isfinite(x)]
                 share = 100.0 * np.arange(1, x.size + 1) / len(own)

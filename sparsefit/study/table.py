@@ -252,13 +252,21 @@ class Table:
     def to_text(self, width: int = 100, most: int = 100) -> str:
         """Return the table for a terminal of so many columns.
 
-        Columns that do not fit follow in a further block behind the names; nothing is cut.
+        Nothing is cut: a long text takes several lines, and columns that do not fit follow in a
+        further block behind the names.
         """
         names = min([*self.is_text, False].index(False), len(self.columns) - 1)
-        frame = pd.DataFrame(self.texts(most), columns=self.levels)
+        rooms = [max(int(0.6 * width) // names - 2, 12) if at < names else 28
+                 for at in range(len(self.columns))]  # fmt: skip
+        cells = (map(str.split, map(wrapped, row, rooms), ["\n"] * len(row))
+                 for row in self.texts(most))  # fmt: skip
+        lines = [line for row in cells for line in itertools.zip_longest(*row, fillvalue="")]
+        frame = pd.DataFrame(lines, columns=self.levels)
         if names:
             frame = frame.set_index(list(self.levels[:names])).rename_axis(self.heads[:names])
-        printed = frame.to_string(index=bool(names), line_width=width) if self.rows else "no rows"
+        printed = (
+            frame.to_string(index=bool(names), line_width=width - 3) if self.rows else "no rows"
+        )
         notes = [wrapped(note, width) for note in self.remarks(most)]
         return "\n\n".join([self.title, printed, *notes]) + "\n"
 

@@ -201,7 +201,9 @@ class TestText:
         assert max(map(len, narrow)) <= 30
         rows = [(f"{'a' * 60} {n} {'b' * 60}", n) for n in (1, 2)]
         long = Table("", (Column("name"), Column("n")), rows)
-        assert long.to_text(40).count("b") == 120  # nothing is cut
+        text = long.to_text(40)
+        assert text.count("b") == 120  # nothing is cut
+        assert max(map(len, text.splitlines())) <= 40
         assert self.table.record()["rows"][1] == ["[a] \\^~_$", None, None]
 
 
