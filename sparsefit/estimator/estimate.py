@@ -141,7 +141,7 @@ def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) 
             values[name], errors[name] = (value, error) if len(own) > 1 else (value[0], error[0])
     sure = Uncertainty(absent | Uncertainty.of(values, errors)) if values else None
     causes = {name: values.pop(name) for name in [*values] if name not in known}
-    wander = leg.model.disturbance.levels.get("wander", math.nan)
+    wander = leg.model.levels.get("wander", math.nan)
     return values | {"causes": causes, "position_wander": wander, "vehicle_uncertainty": sure}
 
 

@@ -144,7 +144,7 @@ def doubts_of_flow(
             where = f" of flight {first.flight}" if first.flight else ""
             remedy = f"; {first.remedy}" if first.free else ""
             yield misfit(f"{MORE}{where}: {first.words}{remedy}{_unit(prepared, first)}")
-        wanders = [own.name for own in posterior.model.disturbance.processes]
+        wanders = [own.name for own in posterior.model.processes]
         if free == "auto" and wanders:
             asked = prepared.library.unknown
             freed = [name for name in result.freed if name in FREEDOMS and name not in asked]
@@ -185,7 +185,7 @@ def doubts_of_flow(
                 f"{_of_flight(prepared, number)}{MORE}: the flow before t = {time:.3g} s seems "
                 f"another than after it (p = {chance:.1g})"
             )
-        gusts = (own for model in posterior.models for own in model.disturbance.processes)
+        gusts = (own for model in posterior.models for own in model.processes)
         if min((own.isotropy for own in gusts), default=1.0) < ONE_WAY:
             yield misfit(f"{MORE}: gusts of one direction, as of waves that no shape here has")
     strength = np.hypot(*result.waves[:, :2].T) * np.hypot(*result.waves[:, 2:4].T)

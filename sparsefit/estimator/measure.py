@@ -152,7 +152,7 @@ class Measured:
         own = [flight_fields(posterior, *each) for each in enumerate(prepared.vehicles)]
         if len(own) == 1:
             return parts | own[0]
-        noises = np.array([model.disturbance.velocity_noise for model in posterior.models])
+        noises = np.array([model.values["velocity_noise"] for model in posterior.models])
         noises /= math.sqrt(float(np.mean(noises**2))) or 1.0
         flights = zip(prepared.parts, noises.tolist(), self.goodness.flights, own, strict=True)
         parts["flights"] = tuple(
@@ -181,7 +181,7 @@ class Optimum:
         parts = flows_of(waves[:, :2], waves[:, 2:4])
         squares = np.sum(waves[:, :2] ** 2, axis=1) * np.sum(waves[:, 2:4] ** 2, axis=1)
         weakest = 0.25 * min(float(squares[part].sum()) for part in parts)  # of a component
-        gusts = self.posterior.model.disturbance.levels.get("turbulence", 0.0) ** 2
+        gusts = self.posterior.model.levels.get("turbulence", 0.0) ** 2
         several = len(waves) == 4 and (len(parts) == 1 or weakest < gusts)
         return len(waves) % 2 == 1 or several
 
@@ -243,7 +243,7 @@ def measure_flow(
     first, *others = optima
     diagnosis, excess = diagnosed(first)
     compared = first.posterior  # with those of the others
-    if diagnosis.believed.model.disturbance.processes:
+    if diagnosis.believed.model.processes:
         # Waves may have fitted the gusts: all optima are compared with these in the model.
         beside = [Optimum(diagnosis.believed, first.proposal)]
         for own in others:
@@ -357,7 +357,7 @@ def _beside(base: Optimum, other: Optimum, logs: Sequence[FlightLog]) -> Posteri
     """An optimum with a base's processes in its model; None if it comes nowhere near its BIC."""
     gusts, white, least = base.posterior, other.posterior, -math.inf
     pairs = zip(white.models, gusts.models, strict=True)
-    gusty = [own.with_processes(its.disturbance.processes) for own, its in pairs]
+    gusty = [replace(own, processes=its.processes) for own, its in pairs]
     if not base.loose:  # else others come first
         least = white.log_likelihood + 0.5 * (white.bic - gusts.bic - CLOSE)
     return fitted(logs, gusty, white, least=least)
@@ -386,7 +386,7 @@ def _turbulent(logs: Sequence[FlightLog], posterior: Posterior) -> float:
     longest = 1e2 * pattern.length_scale  # no waves: no steps between readings that follow them
     still = StreamPattern("axis", (1e-6 * speed, longest, 0.0, 0.0), origin=pattern.origin)
     calm = [
-        replace(model.with_processes(()), pattern=still, fixed=still.names).free(*WIND)
+        replace(model, pattern=still, processes=(), fixed=still.names).free(*WIND)
         for model in posterior.models
     ]
     gusts = replace(process_of("turbulence", posterior), level=0.5 * speed)

@@ -1,6 +1,6 @@
 """State-space likelihood of a raw log: model, iterated smoother, posterior and diagnosis."""
 
-from sparsefit.likelihood.model import Disturbance, Model, Process
+from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, bound, measure
@@ -8,7 +8,6 @@ from sparsefit.likelihood.reference import ELEMENTS
 
 __all__ = [
     "ELEMENTS",
-    "Disturbance",
     "FlightLog",
     "Model",
     "Posterior",

@@ -76,7 +76,7 @@ class Trial:
         assert self.cause is not None
         size, flight = tuple[float, ...](), self.flight
         if self.cause.wanders:  # each flight has a level of its own
-            levels = [own.disturbance.levels.get(self.free, 0.0) for own in after.models]
+            levels = [own.levels.get(self.free, 0.0) for own in after.models]
             size = (max(levels),)
             flight = 1 + levels.index(max(levels)) if len(levels) > 1 else 0
         else:
@@ -305,7 +305,7 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
         """The models at another rate, as strong at frequencies above."""
         models = list[Model]()
         for model in posterior.models:
-            own = next(own for own in model.disturbance.processes if own.name == name)
+            own = next(own for own in model.processes if own.name == name)
             moved = replace(own, rate=own.rate * factor, level=own.level / math.sqrt(factor))
             models += with_process([model], moved)
         return models
@@ -331,7 +331,7 @@ def _varied(refit: Refit, posterior: Posterior, directed: bool = True) -> Poster
     for _ in range(ROUNDS):
         models = list[Model]()
         for leg in posterior.legs:
-            gusts, frames = leg.model.disturbance.processes[-1], list[Array]()
+            gusts, frames = leg.model.processes[-1], list[Array]()
             last = leg.last or leg.forward(()).backward(np.zeros(0))  # none at levels just set
             count = min(max(float(last.squares[-1, 1]) / DEGREES, 1.0), MOST_PARTS)
             block = math.ceil(len(leg.track) / (len(gusts.course) or count))
@@ -390,12 +390,11 @@ def fitted(
     in place of a coloured one takes their share too. passes, least, rough, inside: as in `measure`.
     """
     starts = list(models)
-    processes = 0 if start is None else len(start.model.disturbance.processes)
-    if start is None or len(starts[0].disturbance.processes) > processes:
+    processes = 0 if start is None else len(start.model.processes)
+    if start is None or len(starts[0].processes) > processes:
         for number, (log, model) in enumerate(zip(logs, starts, strict=True)):
-            levels = dict(zip(LEVELS[1:], log.noise, strict=True))
-            levels[LEVELS[0]] = BESIDE * model.disturbance.acceleration
-            starts[number] = replace(model, disturbance=model.disturbance.at(levels))
+            noise = BESIDE * model.values["acceleration"], *log.noise
+            starts[number] = model.at(dict(zip(LEVELS, noise, strict=True)))
     try:
         return measure(logs, starts, start, passes, least, rough=rough, inside=inside)
     except InputError:  # steps that are too short for the log's gaps, or no number any more
@@ -409,7 +408,7 @@ def usable(posterior: Posterior) -> bool:
 
 def process_of(name: str, posterior: Posterior) -> Process:
     """A process of `FREEDOMS`, at the level and the rate where its search starts."""
-    pattern, noise = posterior.model.pattern, posterior.model.disturbance.position_noise
+    pattern, noise = posterior.model.pattern, posterior.model.values["position_noise"]
     speed, time = pattern.mean_velocity, posterior.legs[0].nodes.time
     level, rate = {
         WIND: (0.1 * speed, speed / pattern.length_scale),
@@ -423,8 +422,8 @@ def with_process(models: Iterable[Model], process: Process) -> tuple[Model, ...]
     """The models with one more disturbance, or with another in place of that of its name."""
     walking = []
     for model in models:
-        every = {own.name: own for own in (*model.disturbance.processes, process)}
-        walking.append(model.with_processes(every.values()))
+        every = {own.name: own for own in (*model.processes, process)}
+        walking.append(replace(model, processes=tuple(every.values())))
     return tuple(walking)
 
 

@@ -110,9 +110,9 @@ def _disturbances(leg: Leg) -> tuple[float, float]:
     model, pattern = leg.model, leg.model.pattern
     timescale = pattern.length_scale / pattern.mean_velocity
     tau = min(model.values["response_time"], timescale)
-    kicks = (model.disturbance.acceleration * tau) ** 2 / (2 * timescale)
+    kicks = (model.values["acceleration"] * tau) ** 2 / (2 * timescale)
     gusts = 0.0
-    for process in model.disturbance.processes:
+    for process in model.processes:
         if process.name == "turbulence":
             times = process.rate * float(leg.nodes.time[-1] - leg.nodes.time[0])
             gusts = process.level**2 * (1.0 - 2.0 / times + 2.0 * -math.expm1(-times) / times**2)

@@ -8,7 +8,7 @@ gusts are a varying wind, a swell a varying gain, a Gauss-Markov error of positi
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +26,12 @@ if TYPE_CHECKING:
 
 Pair = tuple[float, float]
 SLOWEST = 1e6  # [s], of a vehicle whose response is quadratic alone
-LEVELS = ("acceleration", "position_noise", "velocity_noise")
+LEVELS = {
+    "acceleration": 0.0,  # q [m/s^2/sqrt(Hz)], of the motion
+    "position_noise": 0.05,  # sigma_x [m], of each component
+    "velocity_noise": 0.2,  # sigma_v [m/s]
+}
+"""The levels of white noise in the order of the passes, with their defaults."""
 
 
 @dataclass(frozen=True)
@@ -57,60 +62,31 @@ class Process:
 
 
 @dataclass(frozen=True)
-class Disturbance:
-    """Noise of the motion and of the instruments.
-
-    Args:
-        acceleration: q [m/s^2/sqrt(Hz)], white.
-        position_noise: sigma_x [m], white, of each component.
-        velocity_noise: sigma_v [m/s].
-        processes: of the elements that vary with time.
-    """
-
-    acceleration: float = 0.0
-    position_noise: float = 0.05
-    velocity_noise: float = 0.2
-    processes: tuple[Process, ...] = ()
-
-    @property
-    def levels(self) -> dict[str, float]:
-        """The levels by name, in the order of the passes."""
-        white = {name: getattr(self, name) for name in LEVELS}
-        return white | {process.name: process.level for process in self.processes}
-
-    def at(self, levels: Mapping[str, float]) -> Disturbance:
-        """Return the disturbance with these levels, others as they are."""
-        walks = (replace(own, level=levels.get(own.name, own.level)) for own in self.processes)
-        white = {name: levels[name] for name in LEVELS if name in levels}
-        return replace(self, processes=tuple(walks), **white)
-
-
-@dataclass(frozen=True)
 class Model:
     """A flow, a vehicle, instruments and disturbances.
 
     Args:
         pattern: the flow; its parameters are free but for those in `fixed`.
-        own: the values of elements by name, where they differ from the defaults; the response
-            time must be among them.
-        disturbance: the noise.
+        own: the values of elements and of `LEVELS` by name, where they differ from the defaults;
+            the response time must be among them.
+        processes: of the elements that vary with time.
         freed: the names of the elements that are free.
         fixed: the names of parameters of the pattern that are known.
 
     Raises:
-        InputError: for an unknown name of an element.
+        InputError: for an unknown name of an element or a level.
     """
 
     pattern: StreamPattern
     own: Mapping[str, float]
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    processes: tuple[Process, ...] = ()
     freed: tuple[str, ...] = ()
     fixed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the names of the elements."""
         for name in (*self.own, *self.freed):
-            if name not in ELEMENTS:
+            if name not in ELEMENTS | LEVELS:
                 raise InputError(f"no parameter {name!r}{suggestion(name, self.values)}")
 
     @classmethod
@@ -128,9 +104,15 @@ class Model:
 
     @cached_property
     def values(self) -> dict[str, float]:
-        """Every parameter by name: those of the pattern first."""
+        """Every parameter and level of white noise by name: those of the pattern first."""
         flow = dict(zip(self.pattern.names, self.pattern.values, strict=True))
-        return flow | ELEMENTS | dict(self.own)
+        return flow | ELEMENTS | LEVELS | dict(self.own)
+
+    @property
+    def levels(self) -> dict[str, float]:
+        """The levels of all noise by name, in the order of the passes."""
+        white = {name: self.values[name] for name in LEVELS}
+        return white | {process.name: process.level for process in self.processes}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -163,16 +145,14 @@ class Model:
         return columns.T
 
     def at(self, values: Mapping[str, float]) -> Model:
-        """Return the model with other values and the same free parameters."""
+        """Return the model with other values and levels, and the same free parameters."""
         flow = zip(self.pattern.names, self.pattern.values, strict=True)
         moved = tuple(float(values.get(name, old)) for name, old in flow)
-        other = {name: float(value) for name, value in values.items() if name in ELEMENTS}
+        names = ELEMENTS | LEVELS
+        other = {name: float(value) for name, value in values.items() if name in names}
         pattern = replace(self.pattern, values=moved)
-        return replace(self, pattern=pattern, own={**self.own, **other})
-
-    def with_processes(self, processes: Iterable[Process]) -> Model:
-        """Return the model with these processes, in place of those that it has."""
-        return replace(self, disturbance=replace(self.disturbance, processes=tuple(processes)))
+        walks = (replace(own, level=values.get(own.name, own.level)) for own in self.processes)
+        return replace(self, pattern=pattern, own={**self.own, **other}, processes=tuple(walks))
 
     def free(self, *names: str) -> Model:
         """Return the model with these elements free as well."""
@@ -184,17 +164,15 @@ class Model:
         Gusts are a field in space: a varying wind has the rate beta sqrt(|v - c|^2 + level^2) over
         its rms along the track (m, n), with c the velocity of the pattern.
         """
-        disturbance, order = self.disturbance, list(ELEMENTS)
-        walkers = [name for process in disturbance.processes for name in process.elements]
-        levels, states = len(disturbance.levels), 4 + len(walkers)
-        kicks, spread, noise = (np.zeros((levels, width)) for width in (states, states, 4))
-        kicks[0, 2:4] = disturbance.acceleration**2
-        noise[1, :2] = disturbance.position_noise**2
-        noise[2, 2:] = disturbance.velocity_noise**2
+        order, sizes = list(ELEMENTS), list(self.levels.values())
+        walkers = [name for process in self.processes for name in process.elements]
+        states = 4 + len(walkers)
+        kicks, spread, noise = (np.zeros((len(sizes), width)) for width in (states, states, 4))
+        kicks[0, 2:4], noise[1, :2], noise[2, 2:] = (size**2 for size in sizes[: len(LEVELS)])
         length, end = 0 if track is None else len(track), 4
         pace, turning = np.ones((2, length, states))
         mixing, rates = np.eye(states), np.zeros(states)
-        for level, process in enumerate(disturbance.processes, len(LEVELS)):
+        for level, process in enumerate(self.processes, len(LEVELS)):
             own, end = slice(end, end + len(process.elements)), end + len(process.elements)
             rate, variance, course = process.rate, process.level**2, process.course or (1.0,)
             parts = (np.arange(len(course)) + 0.5) * length / len(course)

@@ -22,7 +22,7 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
-from sparsefit.likelihood.model import LEVELS, Model
+from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.smoother import PASSES, Step, climbed, inverted
@@ -83,17 +83,17 @@ class Posterior:
         pull = speed * (1.0 + abs(values["quadratic_drag"]) * speed) / values["response_time"]
         bound = 1e2 * EXACT * pull * math.sqrt(turnover)  # a wrong motion has more
         return tuple(
-            disturbance.position_noise < 3.0 * EXACT * pattern.length_scale
-            and disturbance.acceleration < bound
-            for disturbance in (leg.model.disturbance for leg in self.legs)
+            leg.model.values["position_noise"] < 3.0 * EXACT * pattern.length_scale
+            and leg.model.values["acceleration"] < bound
+            for leg in self.legs
         )
 
     @property
     def pushed(self) -> bool:
         """Whether the noise of a measured thrust, which is not white, dominates all other noise."""
         return any(
-            leg.log.thrust_noise * leg.log.interval > leg.model.disturbance.velocity_noise
-            and leg.model.disturbance.acceleration < 1.5 * leg.log.kicks
+            leg.log.thrust_noise * leg.log.interval > leg.model.values["velocity_noise"]
+            and leg.model.values["acceleration"] < 1.5 * leg.log.kicks
             for leg in self.legs
         )
 
@@ -131,7 +131,9 @@ class Posterior:
         changes = []
         for number, leg in enumerate(self.legs, 1):
             size = math.ceil(len(leg.track) / PARTS)
-            *parts, whole = leg.at({}).forward(leg.model.names, keep=False, block=size).course
+            *parts, whole = (
+                replace(leg, last=None).forward(leg.model.names, keep=False, block=size).course
+            )
             for place, part in enumerate(parts, 1):
                 share = part[:, 1:] @ inverted(whole[:, 1:])[0]
                 score, rest = part[:, 0] - share @ whole[:, 0], part[:, 1:] - share @ part[:, 1:]
@@ -148,13 +150,13 @@ class Posterior:
         if not degrees or max(degrees) <= NOTHING:
             return 0.0
         fall = 0.5 * math.log(NOTHING / max(degrees))
-        return self.log_likelihood - at_level(self.legs, fall, LEVELS[0])[0]
+        return self.log_likelihood - at_level(self.legs, fall, "acceleration")[0]
 
     @property
     def bic(self) -> float:
         """Return -2 log L + (p + l) log(readings)."""
         readings = sum(int((leg.nodes.weights > 0.0).sum()) for leg in self.legs)
-        free = len(self.names) + len(self.model.disturbance.levels)
+        free = len(self.names) + len(self.model.levels)
         return -2.0 * self.log_likelihood + free * math.log(max(readings, 2))
 
     def apart(self, other: Posterior) -> float:
@@ -181,8 +183,8 @@ class Posterior:
         total = bare.copy()
         with np.errstate(all="ignore"):
             for place, leg in enumerate(self.legs):
-                for name, level in leg.model.disturbance.levels.items():
-                    if name not in LEVELS[1:] and level > 0.0:
+                for name, level in leg.model.levels.items():
+                    if name not in ("position_noise", "velocity_noise") and level > 0.0:
                         excess = self._widened(place, name, bare)
                         total += excess if np.isfinite(excess).all() else 0.0
         return total * self.inflation
@@ -195,7 +197,7 @@ class Posterior:
         """
         last = self.legs[place].last
         assert last is not None
-        index = list(self.legs[place].model.disturbance.levels).index(name)
+        index = list(self.legs[place].model.levels).index(name)
         degrees = max(float(last.squares[index, 1]), 1e-12)
         if degrees > 1.0:
             up, down = (at_level(self.legs, sign * NUDGE, name, place) for sign in (1, -1))
@@ -222,7 +224,7 @@ class Posterior:
     def inflation(self) -> float:
         """The mean score of neighbouring waves, 1 or more; 1 of a model without processes."""
         pattern = self.model.pattern
-        if not self.model.disturbance.processes:
+        if not self.model.processes:
             return 1.0
         waves, size = pattern.waves[:, :2], np.hypot(*pattern.waves[:, :2].T).mean()
         box = np.ptp(np.concatenate([leg.track[:, :2] for leg in self.legs]), axis=0)
@@ -267,7 +269,7 @@ def at_level(
     place: the number of the log with the level, None: all. Parameters maximise the likelihood.
     """
     moved = tuple(
-        leg.at({name: math.exp(height) * leg.model.disturbance.levels[name]})
+        leg.with_model(leg.model.at({name: math.exp(height) * leg.model.levels[name]}))
         if place in (None, number)
         else leg
         for number, leg in enumerate(legs)
@@ -307,7 +309,7 @@ def measure(
     speed, length = models[0].pattern.mean_velocity, models[0].pattern.length_scale
     floors = []
     for log, each in zip(records, models, strict=True):
-        floor = np.full(len(each.disturbance.levels), 1e-150)
+        floor = np.full(len(each.levels), 1e-150)
         floor[0] = max(EXACT * speed * math.sqrt(speed / length), log.kicks)
         floor[1] = 0.01 * EXACT * length  # process noise moves a position by less than passes err
         floor[2] = EXACT * speed
@@ -323,11 +325,13 @@ def measure(
             rate = math.sqrt(2.0) * math.pi * speed / length + 1e-9
             push = ANNEAL * speed / math.sqrt(rate)
             kicks = [
-                max(push / each.values["response_time"], each.disturbance.acceleration)
+                max(push / each.values["response_time"], each.values["acceleration"])
                 for each in models
             ]
-            placed = (Leg.of(*pair, stride, rough=rough) for pair in pairs)
-            legs = tuple(leg.at({LEVELS[0]: q}) for leg, q in zip(placed, kicks, strict=True))
+            legs = tuple(
+                Leg.of(log, each.at({"acceleration": q}), stride, rough=rough)
+                for (log, each), q in zip(pairs, kicks, strict=True)
+            )
             if stride > 1:
                 few, hold = climbed(legs, floors, PASSES)[0], 0
                 if 4.0 * few[0].model.pattern.length_scale < length:

@@ -122,13 +122,12 @@ class Step:
         moved = []
         for i, (leg, each) in enumerate(zip((p.leg for p in self.passes), smoothed, strict=True)):
             steps = zip(leg.model.names, share * self.change[self.places[i]], strict=True)
-            model = leg.model.at({name: leg.model.values[name] + step for name, step in steps})
+            values = {name: leg.model.values[name] + step for name, step in steps}
             if levels is not None:
-                pairs = zip(model.disturbance.levels.items(), levels[i].tolist(), strict=True)
-                new = {name: level * math.exp(0.5 * share * e) for (name, level), e in pairs}
-                model = replace(model, disturbance=model.disturbance.at(new))
+                pairs = zip(leg.model.levels.items(), levels[i].tolist(), strict=True)
+                values |= {name: level * math.exp(0.5 * share * e) for (name, level), e in pairs}
             track = leg.track + share * (each.track - leg.track)
-            moved.append(replace(leg, model=model, track=track, last=each))
+            moved.append(replace(leg, model=leg.model.at(values), track=track, last=each))
         return tuple(moved)
 
 
@@ -177,7 +176,7 @@ def climbed(
             if not fresh and [rise < 0.0 for rise in np.diff(history[-4:])] == [True, False, True]:
                 share *= 0.5  # it goes to and fro across the maximum
             moves = [
-                scout.change(list(leg.model.disturbance.levels.values()), each.squares, levels)
+                scout.change(list(leg.model.levels.values()), each.squares, levels)
                 for scout, leg, each, levels in zip(
                     scouts, legs, smoothed, step.levels, strict=True
                 )
@@ -219,8 +218,7 @@ def _gated(leg: Leg, smoothed: Smoothed) -> bool:
         return False
     if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: there is no model yet
         return False
-    air = leg.model.disturbance
-    noise = np.repeat([air.position_noise, air.velocity_noise], 2)
+    noise = np.repeat([leg.model.values[name] for name in ("position_noise", "velocity_noise")], 2)
     away = np.abs(nodes.measured - smoothed.track[:, :4]) / noise
     out = (nodes.weights == 0.0) & (away > GATE)
     out = nodes.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))

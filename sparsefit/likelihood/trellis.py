@@ -81,11 +81,6 @@ class Leg:
         nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
         return replace(leg, nodes=nodes, last=self.last)
 
-    def at(self, levels: dict[str, float]) -> Leg:
-        """The leg at other levels, without a pass."""
-        disturbance = self.model.disturbance.at(levels)
-        return replace(self, model=replace(self.model, disturbance=disturbance), last=None)
-
     def with_model(self, model: Model) -> Leg:
         """The leg under another model of the same flow; new states are 0."""
         return replace(self, model=model, track=_widened(self.track, model), last=None)
@@ -130,7 +125,7 @@ class Leg:
         Yields:
             The place of an element among names, the correction of b and that of J, 0 or more.
         """
-        shaping = SHAPING if self.model.disturbance.processes else ()
+        shaping = SHAPING if self.model.processes else ()
         for place in (place for place, name in enumerate(names) if name in shaping):
             name, curvature = names[place], float(own.information[place, place])
             step = 1.0 / math.sqrt(curvature) if curvature > 0.0 else math.nan
@@ -208,5 +203,5 @@ def longest_step(log: FlightLog, model: Model, rough: bool = False) -> float:
 
 def _widened(track: Array, model: Model) -> Array:
     """A track (m, n) with the states of a model, new ones 0."""
-    states = 4 + sum(len(process.elements) for process in model.disturbance.processes)
+    states = 4 + sum(len(process.elements) for process in model.processes)
     return np.pad(track[:, :states], ((0, 0), (0, max(states - track.shape[1], 0))))

@@ -30,7 +30,7 @@ from sparsefit.errors import InputError, one_line
 from sparsefit.estimator.estimate import Estimate
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells, CellularFlow
-from sparsefit.likelihood import Disturbance, FlightLog, Model, StreamPattern, bound
+from sparsefit.likelihood import FlightLog, Model, StreamPattern, bound
 from sparsefit.model import LengthScaleGrid
 from sparsefit.model.grid import extent_of
 from sparsefit.onboard import as_flown
@@ -124,9 +124,10 @@ def bounds_of(draw: Draw, fleet: tuple[Flight, ...]) -> dict[str, float]:
     pattern = StreamPattern("axis", (speed, scale, -math.pi, 0.0))  # the phases of its two waves
     for flown in fleet:
         density = noise * math.sqrt(flown.duration / (flown.samples - 1))  # [m/s^2/sqrt(Hz)]
-        noises = Disturbance(density, 1e-6 * scale, 1e-6 * speed)  # exact trajectories, almost
+        # Trajectories are exact, almost.
+        noises = {"position_noise": 1e-6 * scale, "velocity_noise": 1e-6 * speed}
         model = Model.of_flight(pattern, flown, draw.vehicle, (0.0, 0.0))
-        models.append(replace(model, disturbance=noises))
+        models.append(model.at({"acceleration": density} | noises))
     states = [np.hstack([flown.position, flown.velocity]) for flown in fleet]
     try:
         covariance = bound([FlightLog.of_flight(flown) for flown in fleet], models, states)

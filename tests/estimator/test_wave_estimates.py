@@ -209,9 +209,9 @@ def test_waves_are_read_by_hand():
 
 def test_waves_are_loose_but_for_cells_of_one_flow_or_of_two():
     def loose(*waves, **levels):
-        flow, air = SimpleNamespace(waves=np.array(waves)), SimpleNamespace(levels=levels)
-        posterior = SimpleNamespace(model=SimpleNamespace(pattern=flow, disturbance=air))
-        return Optimum(posterior, None).loose
+        flow = SimpleNamespace(waves=np.array(waves))
+        model = SimpleNamespace(pattern=flow, levels=levels)
+        return Optimum(SimpleNamespace(model=model), None).loose
 
     cells = [[1.0, 0.0, 2.0, 0.0, 0.0], [0.0, 1.0, 0.0, 2.0, 0.0]]
     more, odd = [[0.5, 0.5, 5.0, 0.0, 0.0], [0.5, -0.5, 0.0, 5.0, 0.0]], [0.5, -0.5, 9.0, 9.0, 0.0]

@@ -13,7 +13,7 @@ from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
 from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
 from sparsefit.likelihood.gains import gains_of
 from sparsefit.likelihood.goodness import Constancy, _disturbances
-from sparsefit.likelihood.model import Disturbance, Model, Process
+from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import whiteness
@@ -239,15 +239,15 @@ def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(like
     walk, tried = Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25), []
 
     def reached(_start, models):
-        ratio = models[0].disturbance.processes[0].rate / 0.25 / likelier
+        ratio = models[0].processes[0].rate / 0.25 / likelier
         return SimpleNamespace(reached=-abs(np.log(ratio)))
 
     def refit(models, _near, _least):
-        tried.extend(models[0].disturbance.processes)
+        tried.extend(models[0].processes)
 
     monkeypatch.setattr(room, "_pass", reached)
     other = Process("swell", ("gain",), 0.1, 0.1)
-    model = Model(pattern_of(), {}, Disturbance(processes=(walk, other)))
+    model = Model(pattern_of(), {}, (walk, other))
     posterior = SimpleNamespace(models=[model], log_likelihood=0.0)
     assert room._tuned(refit, posterior, "turbulence") is posterior
     assert tried[1] == other
@@ -256,7 +256,7 @@ def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(like
 
 
 def test_a_swell_of_several_flights_is_that_of_the_flight_where_it_is_largest():
-    swells = [Disturbance(processes=(Process("swell", ("gain",), own),)) for own in (1e-9, 0.2)]
+    swells = [(Process("swell", ("gain",), own),) for own in (1e-9, 0.2)]
     models = tuple(Model(pattern_of(), {}, own) for own in swells)
     there = SimpleNamespace(models=models)
     suspect = room.Trial(models, 2, FREEDOMS["swell"], "swell").suspect(there, there, 0.0, 99.0)
@@ -321,8 +321,8 @@ def test_what_is_ambiguous_is_worked_by_hand():
 
 def test_disturbances_are_those_within_the_band_of_the_flow():
     """Gusts: the variance about the mean of a walk, summed over pairs of times; kicks by hand."""
-    air = Disturbance(2.0, 0.1, 0.1, (Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25),))
-    model = Model(pattern_of(speed=8.0), {"response_time": 0.3}, air)
+    air = (Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25),)
+    model = Model(pattern_of(speed=8.0), {"response_time": 0.3, "acceleration": 2.0}, air)
     time = np.linspace(0.0, 10.0, 801)
     gusts, kicks = _disturbances(SimpleNamespace(model=model, nodes=SimpleNamespace(time=time)))
     about = 1.0 - np.mean(np.exp(-0.25 * np.abs(time[:, None] - time)))

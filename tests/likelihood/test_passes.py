@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sparsefit.likelihood import reference, trellis
-from sparsefit.likelihood.model import Disturbance, Model, Process
+from sparsefit.likelihood.model import LEVELS, Model, Process
 from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
 from sparsefit.likelihood.reference import ELEMENTS
@@ -27,7 +27,7 @@ PROCESSES = (
 def odd_model(shape="pair"):
     pattern = StreamPattern.of_waves(shape, WAVES, *HEIGHTS, (0.1, -0.2))
     own = dict(zip(ELEMENTS, VALUES + SENSORS, strict=False))
-    return Model(pattern, own, Disturbance(0.3, 0.05, 0.2, PROCESSES))
+    return Model(pattern, own | dict(zip(LEVELS, (0.3, 0.05, 0.2), strict=True)), PROCESSES)
 
 
 def odd_nodes(count=40, states=9, seed=3):

@@ -11,7 +11,7 @@ from sparsefit.errors import InputError
 from sparsefit.likelihood import reference
 from sparsefit.likelihood import smoother as room
 from sparsefit.likelihood.diagnosis import _varied
-from sparsefit.likelihood.model import LEVELS, Disturbance, Model, Process
+from sparsefit.likelihood.model import LEVELS, Model, Process
 from sparsefit.likelihood.nodes import FlightLog, Nodes
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, at_level, bound, measure
@@ -48,6 +48,11 @@ def flown(seed, count=400, rate=25.0, noise=(0.05, 0.2), pattern=TRUE, place=(0.
     return FlightLog(time, readings[:, :2], readings[:, 2:], THRUST), states
 
 
+def noisy(tau, kicks=0.0, position=0.05, velocity=0.2):
+    """Values of a model: the response time and the levels of white noise."""
+    return {"response_time": tau, **dict(zip(LEVELS, (kicks, position, velocity), strict=True))}
+
+
 def nearby(pattern=TRUE, share=0.004):
     values = np.array(pattern.values) * (1 + share * np.cos(np.arange(len(pattern.values)) * 2.0))
     return StreamPattern(pattern.shape, tuple(values), pattern.drifting)
@@ -71,9 +76,9 @@ def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
         states[i + 1] = *(x + step * v + kicks[:, i, 0]), *(v + kicks[:, i, 1])
     log = FlightLog(step * np.arange(count + 1), states[:, :2], states[:, 2:], (0.0, 0.0))
     still = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
-    model = Model(still, {"response_time": 1e6}, Disturbance(0.5, 1e-9, 1e-7))
+    model = Model(still, noisy(1e6, 0.5, 1e-9, 1e-7))
     posterior = measure(log, model)
-    assert posterior.model.disturbance.acceleration == pytest.approx(1.0, rel=0.04)
+    assert posterior.value("acceleration") == pytest.approx(1.0, rel=0.04)
     free = len(posterior.names) + len(LEVELS)
     assert posterior.bic == pytest.approx(free * np.log(4004) - 2.0 * posterior.log_likelihood)
 
@@ -83,7 +88,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     log, _ = flown(1, count=12)
     pattern = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
     turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5)
-    model = Model(pattern, {"response_time": TAU}, Disturbance(0.8, 0.05, 0.2, (turbulence,)))
+    model = Model(pattern, noisy(TAU, 0.8), (turbulence,))
     model = model.free("wind_x", "thrust_scale")
     names = ("thrust_scale", "wind_x")
     nodes = Nodes.of(log, log.origin, 1.0)
@@ -134,7 +139,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     np.testing.assert_allclose(moved.track, smoothed.track)
     # the derivative of log L by the logarithm of each variance, and the average information
     columns = [design]
-    for level, name in enumerate(model.disturbance.levels):
+    for level, name in enumerate(model.levels):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
         steps = zip(np.diff(nodes.time), matrices, space.pace[:-1, :n], strict=True)
         kicked += [half for step in steps for half in halves(space.kicks[level], *step)]
@@ -153,7 +158,7 @@ def test_gusts_change_with_the_way_through_them_and_other_processes_with_time():
     gusts = Process("turbulence", ("wind_x", "wind_y"), 3.0, 1.5, (0.5, 1.0, 1.5))
     swell = Process("swell", ("gain",), 0.1, 0.5)
     pattern = StreamPattern("axis", (5.0, 4.0, 0.3, 0.7, 1.0, 0.0), drifting=True)
-    model = Model(pattern, {"response_time": TAU}, Disturbance(processes=(gusts, swell)))
+    model = Model(pattern, {"response_time": TAU}, (gusts, swell))
     track = np.zeros((3, 7))
     track[:, 2] = 1.0, 9.0, 1.0  # beside the drift 0, 8 and 0, in both steps 4 on average
     pace = model.space((), track).pace
@@ -162,9 +167,7 @@ def test_gusts_change_with_the_way_through_them_and_other_processes_with_time():
     np.testing.assert_allclose(pace[:, 4:6], pace[:, 7:9] * [[0.5], [1.0], [1.5]])
     assert (pace[:, [0, 1, 2, 3, 6, 9]] == 1.0).all()
     walk = replace(swell, rate=0.0)  # which starts from nothing
-    spaces = [
-        replace(model, disturbance=Disturbance(processes=(own,))).space() for own in (swell, walk)
-    ]
+    spaces = [replace(model, processes=(own,)).space() for own in (swell, walk)]
     assert [(own.spread[3, 4], own.kicks[3, 4]) for own in spaces] == [
         (0.1**2, 0.1**2),
         (0.0, 0.1**2),
@@ -178,8 +181,7 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
     log, states = flown(3, count=100)
     posterior = measure(log, Model(nearby(), {"response_time": TAU}))
     assert posterior.converged, posterior.reason
-    noise = posterior.model.disturbance
-    size = np.repeat([noise.position_noise, noise.velocity_noise], 2)
+    size = np.repeat([posterior.value(f"{name}_noise") for name in ("position", "velocity")], 2)
 
     def misfit(p):
         motion, time = motion_of(StreamPattern("axis", tuple(p[4:]))), log.time
@@ -197,12 +199,12 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
 
 def test_levels_are_at_the_maximum():
     log, _ = flown(4, count=300)
-    model = Model(nearby(), {"response_time": TAU}, Disturbance(0.1, 0.06, 0.17))
+    model = Model(nearby(), noisy(TAU, 0.1, 0.06, 0.17))
     posterior = measure(log, model)
-    levels = posterior.model.disturbance.levels
+    levels = posterior.model.levels
     assert levels["position_noise"] == pytest.approx(0.05, rel=0.1)
     assert levels["velocity_noise"] == pytest.approx(0.2, rel=0.1)
-    for name in LEVELS[1:]:
+    for name in ("position_noise", "velocity_noise"):
         for factor in (0.97, 1.03):
             assert at_level(posterior.legs, np.log(factor), name)[0] < posterior.log_likelihood
     # Of the logarithm of a variance, 600 readings hold 600/2, less those of the unknowns.
@@ -215,8 +217,8 @@ def test_levels_are_at_the_maximum():
 def test_a_log_is_exact_below_3e_6_of_the_length_and_1e_4_of_the_pull(position, kicks, exact):
     pull = TRUE.mean_velocity * (1 + 0.05 * TRUE.mean_velocity) / TAU
     bound = 1e-4 * pull * np.sqrt(TRUE.length_scale / TRUE.mean_velocity)
-    noise = Disturbance(kicks * bound, position * 3e-6 * TRUE.length_scale, 0.1)
-    model = Model(TRUE, {"response_time": TAU, "quadratic_drag": 0.05}, noise)
+    noise = kicks * bound, position * 3e-6 * TRUE.length_scale, 0.1
+    model = Model(TRUE, noisy(TAU, *noise) | {"quadratic_drag": 0.05})
     own = SimpleNamespace(legs=(SimpleNamespace(model=model),), model=model)
     assert Posterior.exact_logs.fget(own) == (exact,)
 
@@ -323,7 +325,7 @@ def test_logs_with_faults_are_measured(case):
 def test_the_bound_is_the_covariance_at_the_truth():
     log, states = flown(8)
     posterior = measure(log, Model(TRUE, {"response_time": TAU}))
-    true = Model(TRUE, {"response_time": TAU}, posterior.model.disturbance)
+    true = Model(TRUE, posterior.model.own)
     at_truth, bare = bound([log], [true], [states]), np.linalg.inv(posterior.information)
     np.testing.assert_allclose(np.diag(bare), np.diag(at_truth), rtol=0.01)
     blind = true.free("wind_x", "thrust_bias_x")
@@ -333,7 +335,7 @@ def test_the_bound_is_the_covariance_at_the_truth():
 
 def test_flights_share_the_flow_and_have_vehicles_of_their_own():
     logs = [flown(9)[0], flown(10, place=(2.0, 1.0))[0]]
-    model = Model(nearby(), {"response_time": TAU}, Disturbance()).free("response_time")
+    model = Model(nearby(), {"response_time": TAU}).free("response_time")
     alone = [measure(log, model) for log in logs]
     both = measure(logs, model)
     assert both.converged, both.reason
@@ -393,7 +395,7 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
     noisy = FlightLog(log.time, log.position + wander, log.velocity, THRUST)
     model = Model(nearby(), {"response_time": TAU})
     still, moved = (measure(each, model) for each in (log, noisy))
-    assert still.model.disturbance.acceleration < moved.model.disturbance.acceleration
+    assert still.value("acceleration") < moved.value("acceleration")
     assert still.evidence == 0.0 < 1e4 < moved.evidence
     for posterior in (still, moved):
         bare = np.sqrt(np.linalg.inv(posterior.information)[0, 0])
@@ -414,7 +416,7 @@ def test_the_spread_of_a_level_adds_its_part_to_the_covariance(bend, rel, monkey
     model = Model(TRUE, {"response_time": TAU})
     leg = SimpleNamespace(model=model, last=SimpleNamespace(squares=np.full((3, 2), 10.0)))
     own = SimpleNamespace(legs=(leg,), log_likelihood=0.0)
-    excess = Posterior._widened(own, 0, LEVELS[1], np.array([[0.4]]))
+    excess = Posterior._widened(own, 0, "position_noise", np.array([[0.4]]))
     mean, variance = 0.5 / bend, 1.0 / bend  # with the level itself as its prior weight
     expected = variance + (mean**2 if bend < 4.0 else 0.0)
     np.testing.assert_allclose(excess, [[0.7 * expected]], rtol=rel)
@@ -433,7 +435,7 @@ def test_waves_around_those_of_the_flow_are_two_cells_from_them_and_their_opposi
         return np.zeros((len(names), len(names)))
 
     walk = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
-    model = Model(TRUE, {"response_time": TAU}, Disturbance(processes=(walk,)))
+    model = Model(TRUE, {"response_time": TAU}, (walk,))
     legs = (Leg(None, model, None, np.array([[0.0, 0.0], [10.0, 8.0]])),)
     assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0
     monkeypatch.setattr(Posterior, "scores", lambda _, own: (own, np.ones(len(own)), blind(own)))
@@ -468,7 +470,7 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
         readings = states[:2400:4] + rng.normal(size=(600, 4)) * [0.05, 0.05, 0.2, 0.2]
         log = FlightLog(0.04 * np.arange(600), readings[:, :2], readings[:, 2:], THRUST)
         turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
-        model = Model(nearby(), {"response_time": TAU}, Disturbance(processes=(turbulence,)))
+        model = Model(nearby(), {"response_time": TAU}, (turbulence,))
         posteriors.append(measure(log, model))
     assert posteriors[0].inflation > 1.8
     assert (
@@ -477,10 +479,10 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
     assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
     varied = _varied(lambda models, near, _: measure(log, models, near), posteriors[1])
     assert varied.log_likelihood > posteriors[1].log_likelihood + 20.0
-    own = np.array(varied.model.disturbance.processes[0].mixing)
+    own = np.array(varied.model.processes[0].mixing)
     np.testing.assert_allclose(own @ own.T, root @ root.T / 0.98, atol=0.25)
     parted = replace(turbulence, course=(1.0,) * 59)  # 55 parts of 11 rows are 59 of 600, rounded
-    again = measure(log, replace(model, disturbance=Disturbance(processes=(parted,))))
+    again = measure(log, replace(model, processes=(parted,)))
     varied = _varied(lambda models, near, _: measure(log, models, near), again)
     assert varied.log_likelihood > again.log_likelihood + 20.0  # and by direction, as above
 
@@ -493,7 +495,7 @@ def test_passes_that_go_to_and_fro_or_fall_are_shortened(bend, slope, reach, mon
     """
 
     def at(x):
-        model = SimpleNamespace(names=(), disturbance=SimpleNamespace(levels={}))
+        model = SimpleNamespace(names=(), levels={})
         return (SimpleNamespace(x=x, stride=1, model=model),)
 
     def step_of(legs):
