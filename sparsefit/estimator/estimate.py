@@ -124,7 +124,7 @@ class FlightEstimate:
 def flight_fields(posterior: Posterior, place: int, believed: PointMassVehicle) -> dict[str, Any]:
     """The fields of `FlightEstimate` by which a posterior describes the vehicle of a flight."""
     leg, suffix = posterior.legs[place], f"@{place + 1}" if place else ""
-    steady = not np.ptp(leg.nodes.push, axis=0).any()  # a logged acceleration is in no element
+    steady = not np.ptp(leg.push, axis=0).any()  # a logged acceleration is in no element
     base = {"thrust_acceleration": believed.thrust_acceleration} if steady else {}
     shares = {"drag": 1.0 / leg.model.values["response_time"]}
     values, errors, absent = dict[str, Any](), dict[str, Any](), dict[str, None]()

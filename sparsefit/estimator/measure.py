@@ -37,9 +37,9 @@ from sparsefit.likelihood.diagnosis import (
 )
 from sparsefit.likelihood.goodness import Constancy, Goodness, Uncertainty
 from sparsefit.likelihood.model import Model
-from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern, paired
 from sparsefit.likelihood.posterior import Posterior
+from sparsefit.likelihood.readings import FlightLog
 from sparsefit.model import Proposal
 from sparsefit.model.shapes import flows_of, read_cells
 

@@ -16,7 +16,7 @@ from sparsefit.cached import cached_property
 from sparsefit.errors import InputError, told_with
 from sparsefit.flight import Flight
 from sparsefit.flight.vehicle import PointMassVehicle
-from sparsefit.likelihood.nodes import noise_of
+from sparsefit.likelihood.readings import noise_of
 from sparsefit.model import Library, Search, flight_weights
 from sparsefit.regression.problem import RegressionProblem
 from sparsefit.rows import Derivative, Samples

@@ -1,9 +1,9 @@
 """State-space likelihood of a raw log: model, iterated smoother, posterior and diagnosis."""
 
 from sparsefit.likelihood.model import Model, Process
-from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, bound, measure
+from sparsefit.likelihood.readings import FlightLog
 from sparsefit.likelihood.reference import ELEMENTS
 
 __all__ = [

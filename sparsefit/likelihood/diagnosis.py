@@ -26,9 +26,9 @@ from sparsefit.errors import InputError
 from sparsefit.likelihood.causes import BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
 from sparsefit.likelihood.gains import Gain, chance_of, gains_of, groups_of
 from sparsefit.likelihood.model import LEVELS, Model, Process
-from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, measure
+from sparsefit.likelihood.readings import FlightLog
 from sparsefit.likelihood.smoother import Step
 
 FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all groups
@@ -228,7 +228,7 @@ def _releveled(start: Posterior, gain: float) -> float:
 
     At a level that stays no cause gains more than the readings there are, however exact it is.
     """
-    count = sum(int((leg.nodes.weights > 0.0).sum()) for leg in start.legs)
+    count = sum(int((leg.weights > 0.0).sum()) for leg in start.legs)
     return -count * math.log1p(-min(gain / count, 1.0 - 1e-9))
 
 
@@ -409,7 +409,7 @@ def usable(posterior: Posterior) -> bool:
 def process_of(name: str, posterior: Posterior) -> Process:
     """A process of `FREEDOMS`, at the level and the rate where its search starts."""
     pattern, noise = posterior.model.pattern, posterior.model.values["position_noise"]
-    speed, time = pattern.mean_velocity, posterior.legs[0].nodes.time
+    speed, time = pattern.mean_velocity, posterior.legs[0].time
     level, rate = {
         WIND: (0.1 * speed, speed / pattern.length_scale),
         BIAS: (3.0 * noise, 0.2),

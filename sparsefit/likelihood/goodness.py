@@ -114,7 +114,7 @@ def _disturbances(leg: Leg) -> tuple[float, float]:
     gusts = 0.0
     for process in model.processes:
         if process.name == "turbulence":
-            times = process.rate * float(leg.nodes.time[-1] - leg.nodes.time[0])
+            times = process.rate * float(leg.time[-1] - leg.time[0])
             gusts = process.level**2 * (1.0 - 2.0 / times + 2.0 * -math.expm1(-times) / times**2)
     return gusts, kicks
 

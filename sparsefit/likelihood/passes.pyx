@@ -286,13 +286,13 @@ def _room(states, columns, waves):
 
 
 def forward(
-    space, nodes, Matrix track, Py_ssize_t first, Py_ssize_t end, last,
+    space, leg, Py_ssize_t first, Py_ssize_t end, last,
     double[:, ::1] rows, double[:, ::1] sums, double[:, ::1] stored,
 ):
     """Filter a block of nodes, as `reference.forward` does; rows and sums change in place."""
-    cdef Vector elements = space.elements, rates = np.append(space.rates, 0.0), time = nodes.time
+    cdef Vector elements = space.elements, rates = np.append(space.rates, 0.0), time = leg.time
     cdef Matrix kicks = space.kicks.T.copy(), noise = space.noise.T.copy(), pace = space.pace
-    cdef Matrix push = nodes.push, measured = nodes.measured, weights = nodes.weights
+    cdef Matrix push = leg.push, measured = leg.measured, weights = leg.weights, track = leg.track
     cdef Matrix adjoint = track if last is None else last.adjoint
     cdef Matrix scores = track if last is None else last.scores
     cdef Py_ssize_t w = rates.shape[0] - 1, n = 4 + w, width = rows.shape[1]
@@ -421,12 +421,12 @@ def forward(
 
 
 def backward(
-    space, nodes, Py_ssize_t first, Py_ssize_t end, Vector change, Matrix stored,
+    space, leg, Py_ssize_t first, Py_ssize_t end, Vector change, Matrix stored,
     double[:, ::1] carried, result, double[:, ::1] sums,
 ):
     """Run the adjoint through a block backwards, as `reference.backward` does."""
-    cdef Vector rates = space.rates, time = nodes.time, noise = np.sum(space.noise, axis=0)
-    cdef Matrix weights = nodes.weights, pace = space.pace
+    cdef Vector rates = space.rates, time = leg.time, noise = np.sum(space.noise, axis=0)
+    cdef Matrix weights = leg.weights, pace = space.pace
     cdef double[:, ::1] smoothed = result.track, adjoint = result.adjoint, scores = result.scores
     cdef Py_ssize_t n = carried.shape[1], q = change.shape[0], c = n + q, i, j, k, channel
     _room(n, q, 0)

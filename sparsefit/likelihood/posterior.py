@@ -23,8 +23,8 @@ from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
 from sparsefit.likelihood.model import Model
-from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
+from sparsefit.likelihood.readings import FlightLog
 from sparsefit.likelihood.smoother import PASSES, Step, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
@@ -67,7 +67,7 @@ class Posterior:
     @property
     def fine(self) -> bool:
         """Whether no step is longer than those of the answer."""
-        steps = ((leg, float(np.diff(leg.nodes.time).max())) for leg in self.legs)
+        steps = ((leg, float(np.diff(leg.time).max())) for leg in self.legs)
         return all(step < 1.001 * longest_step(leg.log, leg.model) for leg, step in steps)
 
     @property
@@ -112,7 +112,7 @@ class Posterior:
         """Standardised innovations (m, 4) of each log; NaN where no reading is used."""
         scores = [leg.last.scores[:, 8:] if leg.last else np.nan for leg in self.legs]
         pairs = zip(self.legs, scores, strict=True)
-        return tuple(np.where(leg.nodes.weights > 0.0, each, np.nan) for leg, each in pairs)
+        return tuple(np.where(leg.weights > 0.0, each, np.nan) for leg, each in pairs)
 
     @cached_property
     def whiteness(self) -> tuple[float, ...]:
@@ -138,7 +138,7 @@ class Posterior:
                 share = part[:, 1:] @ inverted(whole[:, 1:])[0]
                 score, rest = part[:, 0] - share @ whole[:, 0], part[:, 1:] - share @ part[:, 1:]
                 statistic = float(score @ inverted(rest)[0] @ score)
-                changes.append((statistic, number, float(leg.nodes.time[place * size])))
+                changes.append((statistic, number, float(leg.time[place * size])))
         largest, number, time = max(changes)
         chance = float(chdtrc(len(self.model.names), largest / self.inflation))
         return len(changes) * chance, number, time + self.model.pattern.origin[2]
@@ -155,7 +155,7 @@ class Posterior:
     @property
     def bic(self) -> float:
         """Return -2 log L + (p + l) log(readings)."""
-        readings = sum(int((leg.nodes.weights > 0.0).sum()) for leg in self.legs)
+        readings = sum(int((leg.weights > 0.0).sum()) for leg in self.legs)
         free = len(self.names) + len(self.model.levels)
         return -2.0 * self.log_likelihood + free * math.log(max(readings, 2))
 
@@ -339,7 +339,7 @@ def measure(
                 legs = tuple(leg.again(1) for leg in few)
         else:
             legs = tuple(
-                Leg.of(*pair, 1, (leg.nodes.time, leg.track), rough=rough)
+                Leg.of(*pair, 1, (leg.time, leg.track), rough=rough)
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
         legs, step, reason = climbed(legs, floors, hold, passes, least, inside)

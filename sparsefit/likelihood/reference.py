@@ -36,14 +36,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-
-if TYPE_CHECKING:
-    from sparsefit.likelihood.nodes import Nodes, Smoothed
 
 ELEMENTS: dict[str, float] = {
     "response_time": math.nan,  # tau [s], always given
@@ -103,6 +100,21 @@ class StateSpace:
     spread: Array
     noise: Array
     pace: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """The result of a backward pass."""
+
+    track: Array  # the states (m, n) given all readings
+    adjoint: Array  # r at each node and after it (m + 1, 2 n)
+    #: of the readings (m, 12): u, the standardised leave-one-out residual u/sqrt(D), the
+    #: standardised innovation e/sqrt(S)
+    scores: Array
+    #: half the sum of r^2 and of its variance (l, 2), times the variance of each level: their
+    #: difference is the derivative of the log-likelihood by its logarithm
+    squares: Array
+    parts: Array  # the share of each state's kicks in each block of the pass (b, n, 2)
 
 
 def force(elements: Array, state: Array, time: Array, push: Array, start: float = 0.0) -> Array:
@@ -188,8 +200,7 @@ def transitions(
 
 def forward(
     space: StateSpace,
-    nodes: Nodes,
-    track: Array,
+    leg: Any,
     first: int,
     end: int,
     last: Smoothed | None,
@@ -200,7 +211,7 @@ def forward(
     """Filter the nodes from `first` to `end`, and go on to the node at `end` if there is one.
 
     Args:
-        track: s-bar (m, n) at the nodes.
+        leg: the nodes, with s-bar (m, n) as its track (`trellis.Leg`).
         last: the last backward pass, which the columns of the levels need; None: there are none.
         rows: P, delta and V (n, n + 1 + q) at the first node, changed in place; the columns are
             those of the parameters (p,), then of the logarithms of the levels.
@@ -210,21 +221,21 @@ def forward(
     Returns:
         The sum of log(2 pi S), infinite where rounding has won.
     """
-    n, p = track.shape[1], space.chain.shape[1]
+    n, p = leg.track.shape[1], space.chain.shape[1]
     c, half = n + 1 + p, np.diag_indices(n)
-    part = slice(first, min(end + 1, len(nodes.time)))
-    time, along, space = nodes.time[part], track[part], replace(space, pace=space.pace[part])
-    ahead, matrices, inputs = transitions(space, time, nodes.push[part], along, nodes.time[0])
+    part = slice(first, min(end + 1, len(leg.time)))
+    time, along, space = leg.time[part], leg.track[part], replace(space, pace=space.pace[part])
+    ahead, matrices, inputs = transitions(space, time, leg.push[part], along, leg.time[0])
     seen, slopes = derived(lambda e, s: reading(space, e, s), space, along.T)
     kick, spread, total = space.kicks.sum(axis=0), space.noise.sum(axis=0), 0.0
     for i, node in enumerate(range(first, end)):
         if stored is not None:
             stored[i, : n * c] = rows[:, :c].ravel()
             gains = stored[i, n * c : -4 * n].reshape(4, n + c + 1)
-        for channel in np.flatnonzero(nodes.weights[node]):
-            h, weight = slopes[i, channel, :n], nodes.weights[node, channel]
+        for channel in np.flatnonzero(leg.weights[node]):
+            h, weight = slopes[i, channel, :n], leg.weights[node, channel]
             response = h @ rows  # H P, -e and G
-            response[n] += seen[i, channel] - nodes.measured[node, channel]
+            response[n] += seen[i, channel] - leg.measured[node, channel]
             response[n + 1 : c] += slopes[i, channel, n:]
             if last is not None:
                 response[c:] += space.noise[:, channel] * last.scores[node, channel] / weight
@@ -236,7 +247,7 @@ def forward(
             total += math.log(2.0 * math.pi * size)
             if stored is not None:
                 gains[channel] = np.concatenate([h, response[:c], [size]])
-        if node + 1 == len(nodes.time):
+        if node + 1 == len(leg.time):
             break
         step, matrix = time[i + 1] - time[i], matrices[i]
         excess = step / 6.0 * matrix[range(2), range(2, 4)] ** 2
@@ -265,7 +276,7 @@ def width(n: int, p: int) -> int:
 
 def backward(
     space: StateSpace,
-    nodes: Nodes,
+    leg: Any,
     first: int,
     end: int,
     change: Array,
@@ -289,8 +300,8 @@ def backward(
     r, covariance, noise = carried[0], carried[1:], space.noise.sum(axis=0)
     for node in range(end - 1, first - 1, -1):
         saved = stored[node - first]
-        if node + 1 < len(nodes.time):
-            step = nodes.time[node + 1] - nodes.time[node]
+        if node + 1 < len(leg.time):
+            step = leg.time[node + 1] - leg.time[node]
             matrix = np.zeros((n, n))
             matrix[:4] = saved[-4 * n :].reshape(4, n)
             pace, paces = space.pace[node, :n], space.pace[node, n:]
@@ -304,7 +315,7 @@ def backward(
         result.adjoint[node, n:] = r
         gains = saved[n * c : -4 * n].reshape(4, n + c + 1)
         result.scores[node] = 0.0
-        for channel in np.flatnonzero(nodes.weights[node])[::-1]:
+        for channel in np.flatnonzero(leg.weights[node])[::-1]:
             h, response, size = gains[channel, :n], gains[channel, n:-1], gains[channel, -1]
             gain, innovation = response[:n] / size, -response[n:] @ change
             along = covariance @ gain
@@ -313,7 +324,7 @@ def backward(
             result.scores[node, channel::4] = row
             r += h * u
             covariance += spread * np.outer(h, h) - np.outer(h, along) - np.outer(along, h)
-            variance = noise[channel] / nodes.weights[node, channel]
+            variance = noise[channel] / leg.weights[node, channel]
             sums[n + channel] += variance * u * u, variance * spread
         result.adjoint[node, :n] = r
         filtered = saved[: n * c].reshape(n, c)

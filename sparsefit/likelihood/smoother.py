@@ -19,9 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sparsefit.arrays import Array, IntArray
-from sparsefit.likelihood.nodes import Smoothed
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.reference import ELEMENTS
+from sparsefit.likelihood.reference import ELEMENTS, Smoothed
 from sparsefit.likelihood.trellis import Leg, Pass
 
 SHARED = ("gain", "growth")  # by the logs of one flow, beside its pattern
@@ -213,20 +212,20 @@ def climbed(
 
 def _gated(leg: Leg, smoothed: Smoothed) -> bool:
     """Set the weights of outliers to 0 and of other readings to 1; True if a weight changed."""
-    nodes, far = leg.nodes, np.abs(smoothed.scores[:, 4:8])
-    if not far.max() > GATE and ((nodes.weights > 0.0) == nodes.seen).all():
+    far = np.abs(smoothed.scores[:, 4:8])
+    if not far.max() > GATE and ((leg.weights > 0.0) == leg.seen).all():
         return False
-    if np.median(far[nodes.weights > 0.0]) > 0.85:  # a normal one's is .67: there is no model yet
+    if np.median(far[leg.weights > 0.0]) > 0.85:  # a normal one's is .67: there is no model yet
         return False
     noise = np.repeat([leg.model.values[name] for name in ("position_noise", "velocity_noise")], 2)
-    away = np.abs(nodes.measured - smoothed.track[:, :4]) / noise
-    out = (nodes.weights == 0.0) & (away > GATE)
-    out = nodes.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))
-    if out.sum() > OUTLIERS * nodes.seen.sum():
+    away = np.abs(leg.measured - smoothed.track[:, :4]) / noise
+    out = (leg.weights == 0.0) & (away > GATE)
+    out = leg.seen & (out | (far > max(GATE, 0.3 * float(far.max()))))
+    if out.sum() > OUTLIERS * leg.seen.sum():
         return False
-    weights = np.where(nodes.seen & ~out, 1.0, 0.0)
-    changed = bool((weights != nodes.weights).any())
-    nodes.weights[:] = weights
+    weights = np.where(leg.seen & ~out, 1.0, 0.0)
+    changed = bool((weights != leg.weights).any())
+    leg.weights[:] = weights
     return changed
 
 

@@ -1,5 +1,9 @@
 """A log with a model and a track through its nodes, and one pass over it.
 
+Nodes are the times of readings. Each has up to four (position x, y, velocity x, y); a missing one
+has the weight 0. Positions with a latency have nodes of their own. Where readings are further apart
+than the longest step of the motion, nodes without readings are inserted.
+
 A pass filters forward and smooths backward, in blocks: the filter at the start of each is stored,
 and every block but the last is filtered once more in the backward pass.
 """
@@ -14,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit.arrays import Array
+from sparsefit.arrays import Array, BoolArray
+from sparsefit.errors import InputError
 from sparsefit.likelihood.model import Model
-from sparsefit.likelihood.nodes import FlightLog, Nodes, Smoothed
-from sparsefit.likelihood.reference import SHAPING, StateSpace, width
+from sparsefit.likelihood.readings import FlightLog
+from sparsefit.likelihood.reference import SHAPING, Smoothed, StateSpace, width
 
 passes: Any
 try:
@@ -25,31 +30,26 @@ try:
 except ImportError:  # no compiler where the package was installed
     passes = importlib.import_module("sparsefit.likelihood.reference")
 
+MOST_NODES = 64  # per row of the log; a log that needs more is refused
 BLOCK = 8192  # nodes whose passes are stored at once
 PHASE = 0.25  # of the flow's waves [rad] in the largest step of the motion, twice in a rough one
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """One log during the search for the optimum.
-
-    Args:
-        log: the readings.
-        model: at the values and levels reached; phases count from the origin of the nodes.
-        nodes: of every `stride`-th row.
-        track: the states (m, n) at the nodes, which the motion is linearised along.
-        last: the last backward pass on these nodes, if any.
-        stride: of the rows.
-        rough: whether steps are as long as noise hides (`longest_step`).
-    """
+    """One log with a model and a track at its nodes, during the search for the optimum."""
 
     log: FlightLog
-    model: Model
-    nodes: Nodes
-    track: Array
-    last: Smoothed | None = None
-    stride: int = 1
-    rough: bool = False
+    model: Model  # at the values and levels reached; phases count from the origin of the nodes
+    time: Array  # of the nodes (m,), from the origin [s]
+    push: Array  # the thrust acceleration (m, 2) [m/s^2]
+    measured: Array  # positions and velocities from the origin (m, 4), 0 where missing
+    weights: Array  # of these (m, 4): 1, or 0 where missing or left out
+    seen: BoolArray  # whether there is a reading (m, 4)
+    track: Array  # the states (m, n) at the nodes, which the motion is linearised along
+    last: Smoothed | None = None  # the last backward pass on these nodes, if any
+    stride: int = 1  # of the rows
+    rough: bool = False  # whether steps are as long as noise hides (`longest_step`)
 
     @classmethod
     def of(
@@ -66,20 +66,44 @@ class Leg:
         path: times (k,) and states (k, 4 or more) of an earlier track; None: the readings.
         """
         longest = 2.0 * longest_step(log, model) if stride > 1 else longest_step(log, model, rough)
-        nodes = Nodes.of(log, model.pattern.origin, longest, model.values["latency"], stride)
-        near = nodes.track()
+        (*middle, start), rows = model.pattern.origin, slice(None, None, stride)
+        place, speed, clock = log.position[rows] - middle, log.velocity[rows], log.time - start
+        stamps = clock[rows]
+        late = stamps - (model.values["latency"] if np.isfinite(speed).any() else 0.0)
+        times = np.union1d(stamps, late)
+        count = np.maximum(np.ceil(np.diff(times) / longest - 1e-9), 1.0).astype(np.intp)
+        if count.sum() > MOST_NODES * len(stamps) + 1000:
+            raise InputError(
+                f"gaps of up to {np.diff(times).max():.3g} s are too long for motion that needs "
+                f"steps of {longest:.3g} s; split the log there"
+            )
+        starts = np.concatenate([[0], np.cumsum(count)])
+        within = np.arange(starts[-1]) - np.repeat(starts[:-1], count)
+        steps = np.repeat(np.diff(times) / count, count)
+        time = np.append(np.repeat(times[:-1], count) + within * steps, times[-1])
+        measured, weights = np.zeros((2, len(time), 4))
+        for channel, values, own in ((0, place, late), (2, speed, stamps)):
+            nodes = starts[np.searchsorted(times, own)]
+            measured[nodes, channel : channel + 2] = np.nan_to_num(values, nan=0.0)
+            weights[nodes, channel : channel + 2] = np.isfinite(values)
+        push = np.column_stack([np.interp(time, clock, each) for each in log.thrust.T])
+        seen, track = weights > 0.0, np.zeros((len(time), 4))
+        for channel, read in enumerate(seen.T):
+            if read.any():
+                track[:, channel] = np.interp(time, time[read], measured[read, channel])
+            else:
+                track[:, channel] = np.gradient(track[:, channel - 2], time)
         if path is not None:
-            near = np.column_stack([np.interp(nodes.time, path[0], own) for own in path[1].T])
-        return cls(log, model, nodes, _widened(near, model), None, stride, rough)
+            track = np.column_stack([np.interp(time, path[0], own) for own in path[1].T])
+        track = _widened(track, model)
+        return cls(log, model, time, push, measured, weights, seen, track, None, stride, rough)
 
     def again(self, stride: int) -> Leg:
         """The leg on the nodes of another stride or of a changed latency."""
-        path = self.nodes.time, self.track
-        leg = Leg.of(self.log, self.model, stride, path, rough=self.rough)
-        if not np.array_equal(leg.nodes.seen, self.nodes.seen):
+        leg = Leg.of(self.log, self.model, stride, (self.time, self.track), rough=self.rough)
+        if not np.array_equal(leg.seen, self.seen):
             return leg
-        nodes = replace(leg.nodes, weights=self.nodes.weights.copy())
-        return replace(leg, nodes=nodes, last=self.last)
+        return replace(leg, weights=self.weights.copy(), last=self.last)
 
     def with_model(self, model: Model) -> Leg:
         """The leg under another model of the same flow; new states are 0."""
@@ -107,9 +131,7 @@ class Leg:
             end = min(first + block, m)
             if keep and end == m:
                 stored = np.empty((end - first, width(n, len(names))))
-            total += passes.forward(
-                space, self.nodes, self.track, first, end, last, rows, sums, stored
-            )
+            total += passes.forward(space, self, first, end, last, rows, sums, stored)
             course.append(sums[1:].copy())
         value = -0.5 * (float(sums[0, 0]) + total)
         score, information = -sums[1:, 0], sums[1:, 1:]
@@ -139,33 +161,21 @@ class Leg:
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """A forward pass, with the data for a backward pass.
+    """A forward pass, with the data for a backward pass."""
 
-    Args:
-        leg: that was filtered.
-        space: its model.
-        value: the log-likelihood at dtheta = 0.
-        score: b (p + l,) by the parameters, and by the levels where a last pass gave them.
-        information: J (p + l, p + l).
-        course: -b and J (p + l, 1 + p + l) of all nodes up to the end of each block.
-        starts: P, delta and V (n, n + 1 + p) at the first node of each block.
-        stored: what the backward pass reads of the last block.
-        block: the nodes of one.
-    """
-
-    leg: Leg
-    space: StateSpace
-    value: float
-    score: Array
-    information: Array
-    course: list[Array]
-    starts: list[Array]
-    stored: Array | None
-    block: int
+    leg: Leg  # that was filtered
+    space: StateSpace  # its model
+    value: float  # the log-likelihood at dtheta = 0
+    score: Array  # b (p + l,) by the parameters, and by the levels where a last pass gave them
+    information: Array  # J (p + l, p + l)
+    course: list[Array]  # -b and J (p + l, 1 + p + l) of all nodes up to the end of each block
+    starts: list[Array]  # P, delta and V (n, n + 1 + p) at the first node of each block
+    stored: Array | None  # what the backward pass reads of the last block
+    block: int  # the nodes of one
 
     def backward(self, change: Array) -> Smoothed:
         """Smooth, with the parameters changed by `change` (p,)."""
-        space, nodes, track, stored = self.space, self.leg.nodes, self.leg.track, self.stored
+        space, leg, track, stored = self.space, self.leg, self.leg.track, self.stored
         (m, n), p, levels = track.shape, len(change), len(space.kicks)
         carried, sums = np.zeros((1 + n, n)), np.zeros((len(self.starts), n + 4, 2))
         adjoint, scores = np.zeros((m + 1, 2 * n)), np.empty((m, 12))
@@ -177,9 +187,9 @@ class Pass:
             if stored is None:  # the block once more, without the levels' columns
                 rows, rest = self.starts[number].copy(), np.zeros((1 + p, 1 + p))
                 stored = np.empty((end - first, width(n, p)))
-                passes.forward(space, nodes, track, first, end, None, rows, rest, stored)
+                passes.forward(space, leg, first, end, None, rows, rest, stored)
             step = np.append(1.0, change)
-            passes.backward(space, nodes, first, end, step, stored, carried, result, sums[number])
+            passes.backward(space, leg, first, end, step, stored, carried, result, sums[number])
             stored = None
         initial = np.column_stack([result.adjoint[0, :n] ** 2, np.diag(carried[1:])])
         parts *= 0.5 * space.kicks.sum(axis=0)[:, None]

@@ -137,7 +137,7 @@ def test_a_vehicle_is_read_off_the_elements_of_its_flight():
     model = Model(pattern, {"response_time": 0.5, **elements}).free(*elements)
     errors = {f"{name}@2": 0.1 * size for name, size in elements.items()} | {"growth": 0.002}
     for push, base in ((np.ones((4, 2)), (5.0, 3.0)), (np.outer(np.arange(4), [0, 1]), (0.0, 0.0))):
-        leg = SimpleNamespace(model=model, nodes=SimpleNamespace(push=push))
+        leg = SimpleNamespace(model=model, push=push)
         found = flight_fields(SimpleNamespace(legs=(leg, leg), error=errors.get), 1, VEHICLE)
         assert found["thrust_acceleration"] == pytest.approx((base[0] + 0.1, base[1] - 0.2))
     assert (found["drag"], found["causes"]) == (pytest.approx(0.1), {"growth": 0.01})

@@ -14,9 +14,9 @@ from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
 from sparsefit.likelihood.gains import gains_of
 from sparsefit.likelihood.goodness import Constancy, _disturbances
 from sparsefit.likelihood.model import Model, Process
-from sparsefit.likelihood.nodes import FlightLog
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import whiteness
+from sparsefit.likelihood.readings import FlightLog
 from tests.problems import fly
 from tests.worlds import GROUPS, draw
 
@@ -324,7 +324,7 @@ def test_disturbances_are_those_within_the_band_of_the_flow():
     air = (Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25),)
     model = Model(pattern_of(speed=8.0), {"response_time": 0.3, "acceleration": 2.0}, air)
     time = np.linspace(0.0, 10.0, 801)
-    gusts, kicks = _disturbances(SimpleNamespace(model=model, nodes=SimpleNamespace(time=time)))
+    gusts, kicks = _disturbances(SimpleNamespace(model=model, time=time))
     about = 1.0 - np.mean(np.exp(-0.25 * np.abs(time[:, None] - time)))
     assert gusts == pytest.approx(0.64 * about, rel=0.01)
     assert kicks == pytest.approx((2.0 * 0.3) ** 2 / (2.0 * 0.5))

@@ -8,9 +8,8 @@ import pytest
 
 from sparsefit.likelihood import reference, trellis
 from sparsefit.likelihood.model import LEVELS, Model, Process
-from sparsefit.likelihood.nodes import Nodes, Smoothed
 from sparsefit.likelihood.pattern import WAVE, StreamPattern
-from sparsefit.likelihood.reference import ELEMENTS
+from sparsefit.likelihood.reference import ELEMENTS, Smoothed
 from sparsefit.likelihood.trellis import Leg
 
 WAVES = np.array([[1.1, 0.4], [-0.3, 0.9]])
@@ -30,27 +29,27 @@ def odd_model(shape="pair"):
     return Model(pattern, own | dict(zip(LEVELS, (0.3, 0.05, 0.2), strict=True)), PROCESSES)
 
 
-def odd_nodes(count=40, states=9, seed=3):
+def odd_leg(count=40, states=9, seed=3):
     rng = np.random.default_rng(seed)
     time = np.sort(rng.uniform(-3, 3, count))
     push = rng.normal(size=(count, 2))
     track = rng.normal(size=(count, states)) * [2, 2, 3, 3, *[0.3] * (states - 4)]
     measured = track[:, :4] + 0.1 * rng.normal(size=(count, 4))
     weights = np.where(rng.uniform(size=(count, 4)) < 0.2, 0.0, rng.uniform(0.5, 1.0, (count, 4)))
-    return Nodes(time, push, measured, weights, weights > 0.0), track
+    log = SimpleNamespace(spread=np.arange(1.0, 5.0))
+    return Leg(log, odd_model(), time, push, measured, weights, weights > 0.0, track)
 
 
 def test_steps_and_readings_have_the_derivatives_of_finite_differences():
-    model = odd_model()
-    nodes, track = odd_nodes(6)
-    space = replace(model.space((), track), chain=np.eye(len(model.elements)))
+    leg = odd_leg(6)
+    space = replace(leg.model.space((), leg.track), chain=np.eye(len(leg.model.elements)))
     time = np.linspace(0.0, 0.5, 6)
     functions = {
-        "step": lambda e, s: reference.following(space, time, nodes.push, e, s),
+        "step": lambda e, s: reference.following(space, time, leg.push, e, s),
         "reading": lambda e, s: reference.reading(space, e, s),
     }
     for name, function in functions.items():
-        states = track.T[:, :5]
+        states = leg.track.T[:, :5]
         _, slopes = reference.derived(function, space, states)
         for place in range(9 + len(space.elements)):
             push, moved = np.zeros(len(space.elements)), np.zeros_like(states)
@@ -67,10 +66,8 @@ def test_steps_and_readings_have_the_derivatives_of_finite_differences():
             np.testing.assert_allclose(slopes[..., place], slope, rtol=1e-6, atol=1e-7)
 
 
-def passed(nodes, track, last):
-    log, model = SimpleNamespace(spread=np.arange(1.0, 5.0)), odd_model()
-    waves = [f"{name}_{j}" for j in (1, 2) for name in WAVE]
-    forward = Leg(log, model, nodes, track, last).forward((*ELEMENTS, *waves))
+def passed(leg):
+    forward = leg.forward((*ELEMENTS, *(f"{name}_{j}" for j in (1, 2) for name in WAVE)))
     smoothed = forward.backward(0.01 * np.cos(np.arange(len(ELEMENTS) + 10)))
     return (
         *(forward.value, forward.score, forward.information),
@@ -82,15 +79,15 @@ def passed(nodes, track, last):
 @pytest.mark.parametrize("way", ["plain", "blocks", "far"])
 def test_the_compiled_pass_is_the_plain_one_and_that_of_blocks(levels, way, monkeypatch):
     pytest.importorskip("sparsefit.likelihood.passes")
-    (nodes, track), rng = odd_nodes(), np.random.default_rng(5)
+    leg, rng = odd_leg(), np.random.default_rng(5)
     adjoint, scores = rng.normal(size=(41, 18)), rng.normal(size=(40, 12))
     squares = np.zeros((6, 2)), np.zeros((1, 6, 2))
-    track[:, :2] += 1e8 * (way == "far")  # phases are beyond what the lanes reduce
-    last = Smoothed(track, adjoint, scores, *squares) if levels else None
-    compiled = passed(nodes, track, last)
+    leg.track[:, :2] += 1e8 * (way == "far")  # phases are beyond what the lanes reduce
+    last = Smoothed(leg.track, adjoint, scores, *squares) if levels else None
+    compiled = passed(leg := replace(leg, last=last))
     name, other = ("BLOCK", 16) if way == "blocks" else ("passes", reference)
     monkeypatch.setattr(trellis, name, other)
-    for expected, value in zip(passed(nodes, track, last), compiled, strict=True):
+    for expected, value in zip(passed(leg), compiled, strict=True):
         size = np.abs(expected).max()
         np.testing.assert_allclose(value, expected, rtol=1e-8, atol=1e-9 * size)
 

@@ -12,9 +12,9 @@ from sparsefit.likelihood import reference
 from sparsefit.likelihood import smoother as room
 from sparsefit.likelihood.diagnosis import _varied
 from sparsefit.likelihood.model import LEVELS, Model, Process
-from sparsefit.likelihood.nodes import FlightLog, Nodes
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import Posterior, at_level, bound, measure
+from sparsefit.likelihood.readings import FlightLog
 from sparsefit.likelihood.smoother import LevelSteps, Step, _bounded, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
@@ -86,19 +86,18 @@ def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
 def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     """Without waves the motion is linear: delta, score and information of one covariance matrix."""
     log, _ = flown(1, count=12)
-    pattern = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
+    pattern = StreamPattern("several", (0.01, 0.005, 0.0, 0.0)).about(log.origin)
     turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.7, 1.5)
     model = Model(pattern, noisy(TAU, 0.8), (turbulence,))
     model = model.free("wind_x", "thrust_scale")
     names = ("thrust_scale", "wind_x")
-    nodes = Nodes.of(log, log.origin, 1.0)
-    assert nodes.time.tolist() == (log.time - log.origin[2]).tolist()
-    track, spread = np.pad(nodes.track(), ((0, 0), (0, 2))), np.array([1.0, 2.0, 3.0, 4.0])
+    leg, spread = Leg.of(log, model), np.array([1.0, 2.0, 3.0, 4.0])
+    assert leg.time.tolist() == (log.time - log.origin[2]).tolist()
+    leg, track = replace(leg, log=SimpleNamespace(spread=spread)), leg.track
     space = model.space(names, track)
-    leg = Leg(SimpleNamespace(spread=spread), model, nodes, track)
     forward = leg.forward(names)
     m, n = track.shape
-    following, matrices, slopes = reference.transitions(space, nodes.time, nodes.push, track)
+    following, matrices, slopes = reference.transitions(space, leg.time, leg.push, track)
     # every state as a linear map of the first state, of all kicks and of theta
     size = n + 2 * n * (m - 1)
     maps, offset, by_theta = [np.zeros((n, size))], [np.zeros(n)], [np.zeros((n, 2))]
@@ -106,7 +105,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     offset[0][4:] = -track[0, 4:]
     variances = [np.concatenate([spread, space.spread.sum(axis=0)[4:]])]
     for i in range(m - 1):
-        step = nodes.time[i + 1] - nodes.time[i]
+        step = leg.time[i + 1] - leg.time[i]
         f = matrices[i]
         before = maps[-1].copy()
         before[:, n + 2 * n * i : n + 2 * n * i + n] += np.eye(n)
@@ -120,7 +119,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     h = np.vstack([each[:4] for each in maps])
     noise = np.tile(space.noise.sum(axis=0), m)
     covariance = h @ prior @ h.T + np.diag(noise)
-    error = (nodes.measured - track[:, :4]).ravel() - np.concatenate([each[:4] for each in offset])
+    error = (leg.measured - track[:, :4]).ravel() - np.concatenate([each[:4] for each in offset])
     design = np.vstack([each[:4] for each in by_theta])
     solved = np.linalg.solve(covariance, np.column_stack([error, design]))
     value = -0.5 * (error @ solved[:, 0] + np.linalg.slogdet(2 * np.pi * covariance)[1])
@@ -141,7 +140,7 @@ def test_a_smooth_of_the_linear_case_is_the_dense_gaussian():
     columns = [design]
     for level, name in enumerate(model.levels):
         kicked = [np.concatenate([np.zeros(4), space.spread[level, 4:]])]
-        steps = zip(np.diff(nodes.time), matrices, space.pace[:-1, :n], strict=True)
+        steps = zip(np.diff(leg.time), matrices, space.pace[:-1, :n], strict=True)
         kicked += [half for step in steps for half in halves(space.kicks[level], *step)]
         slope = h @ np.diag(np.concatenate(kicked)) @ h.T + np.diag(np.tile(space.noise[level], m))
         expected = 0.5 * np.trace(np.linalg.solve(covariance, slope))
@@ -317,8 +316,8 @@ def test_logs_with_faults_are_measured(case):
         true = dict(zip(TRUE.names, TRUE.values, strict=True))[name]
         assert abs(posterior.value(name) - true) < 4.0 * posterior.error(name)
         assert posterior.error(name) < 1e-3 * true
-    nodes = posterior.legs[0].nodes
-    outliers = np.count_nonzero(nodes.seen & (nodes.weights == 0.0))
+    leg = posterior.legs[0]
+    outliers = np.count_nonzero(leg.seen & (leg.weights == 0.0))
     assert (outliers > 5) == (case == "outliers")
 
 
@@ -436,7 +435,7 @@ def test_waves_around_those_of_the_flow_are_two_cells_from_them_and_their_opposi
 
     walk = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
     model = Model(TRUE, {"response_time": TAU}, (walk,))
-    legs = (Leg(None, model, None, np.array([[0.0, 0.0], [10.0, 8.0]])),)
+    legs = (Leg(None, model, *[None] * 5, np.array([[0.0, 0.0], [10.0, 8.0]])),)
     assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0
     monkeypatch.setattr(Posterior, "scores", lambda _, own: (own, np.ones(len(own)), blind(own)))
     assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0  # of no wave that is seen
