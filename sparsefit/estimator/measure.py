@@ -30,7 +30,6 @@ from sparsefit.likelihood.diagnosis import (
     Diagnosis,
     diagnose,
     disturbed,
-    fitted,
     process_of,
     scanned,
     with_process,
@@ -38,7 +37,7 @@ from sparsefit.likelihood.diagnosis import (
 from sparsefit.likelihood.goodness import Constancy, Goodness, Uncertainty
 from sparsefit.likelihood.model import Model
 from sparsefit.likelihood.pattern import SHAPES, StreamPattern, paired
-from sparsefit.likelihood.posterior import Posterior
+from sparsefit.likelihood.posterior import Posterior, measure
 from sparsefit.likelihood.readings import FlightLog
 from sparsefit.model import Proposal
 from sparsefit.model.shapes import flows_of, read_cells
@@ -324,17 +323,17 @@ def _optima(
             .at({"latency": latency} if latency else {})
             for flight, vehicle, latency in triples
         ]
-        there = fitted(logs, models)
+        there = measure(logs, models)
         for name in names:
             if there is not None and FREEDOMS[name].wanders:
-                there = fitted(logs, with_process(there.models, process_of(name, there)), there)
+                there = measure(logs, with_process(there.models, process_of(name, there)), there)
         if there is None:
             continue
         followed = not prepared.too_fast(there.model.pattern.length_scale)
         if proposal.shape == "scales" and followed:  # its waves are free if BIC says so
             free_waves = there.model.pattern.reshaped("several", pattern.drifting)
             freer = [replace(own, pattern=free_waves) for own in there.models]
-            loose = fitted(logs, freer, there, least=there.log_likelihood)
+            loose = measure(logs, freer, there, least=there.log_likelihood)
             there = loose if loose is not None and loose.bic < there.bic else there
         # An optimum that left its proposal is one of its own where the rows do not exclude it.
         if not there.model.pattern.is_near(proposal.wavevectors, near):
@@ -360,7 +359,7 @@ def _beside(base: Optimum, other: Optimum, logs: Sequence[FlightLog]) -> Posteri
     gusty = [replace(own, processes=its.processes) for own, its in pairs]
     if not base.loose:  # else others come first
         least = white.log_likelihood + 0.5 * (white.bic - gusts.bic - CLOSE)
-    return fitted(logs, gusty, white, least=least)
+    return measure(logs, gusty, white, least=least)
 
 
 def lobes(proposals: Sequence[Proposal], near: float) -> list[Proposal]:
@@ -390,7 +389,7 @@ def _turbulent(logs: Sequence[FlightLog], posterior: Posterior) -> float:
         for model in posterior.models
     ]
     gusts = replace(process_of("turbulence", posterior), level=0.5 * speed)
-    nothing = fitted(logs, with_process(calm, gusts))
+    nothing = measure(logs, with_process(calm, gusts))
     return math.inf if nothing is None else nothing.log_likelihood
 
 

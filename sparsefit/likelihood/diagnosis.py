@@ -22,12 +22,11 @@ from itertools import product
 import numpy as np
 
 from sparsefit.arrays import Array
-from sparsefit.errors import InputError
 from sparsefit.likelihood.causes import BIAS, FREEDOMS, GAIN, SHAPES, WIND, Cause, Suspect
 from sparsefit.likelihood.gains import Gain, chance_of, gains_of, groups_of
-from sparsefit.likelihood.model import LEVELS, Model, Process
+from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import Posterior, measure
+from sparsefit.likelihood.posterior import SHORT, Posterior, measure
 from sparsefit.likelihood.readings import FlightLog
 from sparsefit.likelihood.smoother import Step
 
@@ -38,8 +37,6 @@ CLEAR = 8.0  # times a second-order gain: a fit that gained more ends the search
 TUNED = 3.0  # the factor between the rates of a process that are tried
 DEGREES, MOST_PARTS = 5.0, 64  # of freedom of a part with gusts of its own level; of parts
 FLATTEST = 1e-4  # the least variance of a component of gusts, over that of the other
-BESIDE = 0.1  # the share of white process noise that a search keeps beside a new process
-PASSES = 15  # of a search over all rows
 LAST = 60  # passes towards an answer that has not converged
 HINT = 0.1  # the p-value below which a cause that is not freed widens the intervals
 FACTOR = 3.0  # by which a scale or a response time may be off
@@ -125,8 +122,8 @@ def diagnose(
     def refit(
         models: Sequence[Model], near: Posterior, least: float = -math.inf, *, last: bool = False
     ) -> Posterior | None:
-        there = fitted(
-            logs, models, near, LAST if last else PASSES, least, rough=not last, inside=inside
+        there = measure(
+            logs, models, near, LAST if last else SHORT, least, rough=not last, inside=inside
         )
         if there is None or not (usable(there) and inside(there.model.pattern)):
             return None
@@ -371,34 +368,6 @@ def _varied(refit: Refit, posterior: Posterior, directed: bool = True) -> Poster
 def _rows_of(matrix: Array) -> tuple[tuple[float, ...], ...]:
     """A matrix as a tuple of rows."""
     return tuple(map(tuple, matrix.tolist()))
-
-
-def fitted(
-    logs: Sequence[FlightLog],
-    models: Iterable[Model],
-    start: Posterior | None = None,
-    passes: int = PASSES,
-    least: float = -math.inf,
-    *,
-    rough: bool = True,
-    inside: Callable[[StreamPattern], bool] | None = None,
-) -> Posterior | None:
-    """The posterior of models of logs, all their levels estimated.
-
-    start: a nearby optimum whose tracks and levels are the start. Without one, or with a process
-    that it has not, the levels of the sensors start from the logs' own noise: white process noise
-    in place of a coloured one takes their share too. passes, least, rough, inside: as in `measure`.
-    """
-    starts = list(models)
-    processes = 0 if start is None else len(start.model.processes)
-    if start is None or len(starts[0].processes) > processes:
-        for number, (log, model) in enumerate(zip(logs, starts, strict=True)):
-            noise = BESIDE * model.values["acceleration"], *log.noise
-            starts[number] = model.at(dict(zip(LEVELS, noise, strict=True)))
-    try:
-        return measure(logs, starts, start, passes, least, rough=rough, inside=inside)
-    except InputError:  # steps that are too short for the log's gaps, or no number any more
-        return None
 
 
 def usable(posterior: Posterior) -> bool:

@@ -168,7 +168,7 @@ class Model:
         walkers = [name for process in self.processes for name in process.elements]
         states = 4 + len(walkers)
         kicks, spread, noise = (np.zeros((len(sizes), width)) for width in (states, states, 4))
-        kicks[0, 2:4], noise[1, :2], noise[2, 2:] = (size**2 for size in sizes[: len(LEVELS)])
+        kicks[0, 2:4], noise[1, :2], noise[2, 2:] = np.square(sizes[: len(LEVELS)])
         length, end = 0 if track is None else len(track), 4
         pace, turning = np.ones((2, length, states))
         mixing, rates = np.eye(states), np.zeros(states)

@@ -14,7 +14,8 @@ holds. The mean score multiplies the covariance: a sandwich whose middle is esti
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,13 +23,15 @@ import numpy as np
 from sparsefit.arrays import Array
 from sparsefit.cached import cached_property
 from sparsefit.errors import InputError
-from sparsefit.likelihood.model import Model
+from sparsefit.likelihood.model import LEVELS, Model
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.readings import FlightLog
 from sparsefit.likelihood.smoother import PASSES, Step, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
 
+SHORT = 15  # passes of a search over all rows
 COARSE = 200  # rows of a log in the first passes
+BESIDE = 0.1  # the share of white process noise that a search keeps beside a new process
 ANNEAL = 1.0  # process noise that the search starts from, in |w|/tau per sqrt(|k| |w|)
 EXACT = 1e-6  # of the flow's length and velocity: noise below it counts as none
 NUDGE = 0.3  # of the logarithm of a level, for a second difference of the likelihood
@@ -279,21 +282,25 @@ def at_level(
 
 
 def measure(
-    logs: FlightLog | Sequence[FlightLog],
-    model: Model | Sequence[Model],
+    logs: Sequence[FlightLog],
+    models: Iterable[Model],
     start: Posterior | None = None,
-    passes: int = PASSES,
+    passes: int = SHORT,
     least: float = -math.inf,
     *,
-    rough: bool = False,
+    rough: bool = True,
     inside: Callable[[StreamPattern], bool] | None = None,
-) -> Posterior:
-    """Find the maximum of the likelihood of logs that share the free parameters, and its levels.
+) -> Posterior | None:
+    """The maximum of the likelihood of logs through one flow, with the levels of all noise.
+
+    None if a log has gaps too long, or few rows of it do not hold the waves.
 
     Args:
-        logs: one flight or several through one flow.
-        model: one for all, or one per log, with the same pattern and the same free parameters;
-            the values are where the search starts.
+        logs: one flight or several.
+        models: of each log, with the same pattern and the same free parameters: where the search
+            starts. Without an earlier posterior, or with a process that it has not, the levels of
+            the sensors start from the logs' own noise: white process noise in place of a coloured
+            one takes their share too.
         start: an earlier posterior of the same logs, with fewer parameters or processes perhaps:
             its trajectories are where the search starts, and the noise is not annealed.
         passes: over all rows at most.
@@ -301,21 +308,24 @@ def measure(
             behind is given up.
         rough: whether steps are as long as noise hides (`longest_step`).
         inside: whether waves are those sought: a search that leaves them is given up.
-
-    Raises:
-        InputError: if the log has gaps too long, or few rows of it do not hold the waves.
     """
-    records, models = _about(logs, model)
-    speed, length = models[0].pattern.mean_velocity, models[0].pattern.length_scale
+    starts = _about(logs, models)
+    processes = 0 if start is None else len(start.model.processes)
+    if start is None or len(starts[0].processes) > processes:
+        for number, (log, model) in enumerate(zip(logs, starts, strict=True)):
+            noise = BESIDE * model.values["acceleration"], *log.noise
+            starts[number] = model.at(dict(zip(LEVELS, noise, strict=True)))
+    speed, length = starts[0].pattern.mean_velocity, starts[0].pattern.length_scale
     floors = []
-    for log, each in zip(records, models, strict=True):
+    for log, each in zip(logs, starts, strict=True):
         floor = np.full(len(each.levels), 1e-150)
         floor[0] = max(EXACT * speed * math.sqrt(speed / length), log.kicks)
         floor[1] = 0.01 * EXACT * length  # process noise moves a position by less than passes err
         floor[2] = EXACT * speed
         floors.append(floor)
-    hold, pairs = 0, list(zip(records, models, strict=True))
-    with np.errstate(all="ignore"):  # a step that is no number is not taken
+    hold, pairs = 0, list(zip(logs, starts, strict=True))
+    # A step that is no number is not taken.
+    with suppress(InputError), np.errstate(all="ignore"):
         if start is None:
             strides = [
                 min(len(log.time) / COARSE, 4.0 * longest_step(log, each) / log.interval)
@@ -326,7 +336,7 @@ def measure(
             push = ANNEAL * speed / math.sqrt(rate)
             kicks = [
                 max(push / each.values["response_time"], each.values["acceleration"])
-                for each in models
+                for each in starts
             ]
             legs = tuple(
                 Leg.of(log, each.at({"acceleration": q}), stride, rough=rough)
@@ -335,7 +345,7 @@ def measure(
             if stride > 1:
                 few, hold = climbed(legs, floors, PASSES)[0], 0
                 if 4.0 * few[0].model.pattern.length_scale < length:
-                    raise InputError("the waves run away to ever shorter ones")
+                    return None  # waves run away to ever shorter ones
                 legs = tuple(leg.again(1) for leg in few)
         else:
             legs = tuple(
@@ -343,10 +353,11 @@ def measure(
                 for pair, leg in zip(pairs, start.legs, strict=True)
             )
         legs, step, reason = climbed(legs, floors, hold, passes, least, inside)
-    value = step.reached - step.gain * bool(reason)  # a step that was not taken gains nothing
-    value = value if math.isfinite(value) else -math.inf
-    seen = max((float(known[0, 0]) for known in step.levels if known.size), default=0.0)
-    return Posterior(legs, step.names, step.information, value, seen, reason)
+        value = step.reached - step.gain * bool(reason)  # a step that was not taken gains nothing
+        value = value if math.isfinite(value) else -math.inf
+        seen = max((float(known[0, 0]) for known in step.levels if known.size), default=0.0)
+        return Posterior(legs, step.names, step.information, value, seen, reason)
+    return None
 
 
 def bound(logs: Sequence[FlightLog], models: Sequence[Model], states: Sequence[Array]) -> Array:
@@ -361,7 +372,7 @@ def bound(logs: Sequence[FlightLog], models: Sequence[Model], states: Sequence[A
         InputError: if the logs do not see a free parameter.
     """
     legs = []
-    for log, each, state in zip(*_about(logs, models), states, strict=True):
+    for log, each, state in zip(logs, _about(logs, models), states, strict=True):
         x, y, t = each.pattern.origin
         legs.append(Leg.of(log, each, 1, (log.time - t, state - np.array([x, y, 0.0, 0.0]))))
     step = Step.of(legs, keep=False)
@@ -370,16 +381,10 @@ def bound(logs: Sequence[FlightLog], models: Sequence[Model], states: Sequence[A
     return step.covariance
 
 
-def _about(
-    logs: FlightLog | Sequence[FlightLog], model: Model | Sequence[Model]
-) -> tuple[tuple[FlightLog, ...], tuple[Model, ...]]:
-    """Logs and their models, with phases relative to the middle of all logs."""
-    records = (logs,) if isinstance(logs, FlightLog) else tuple(logs)
-    models = (model,) * len(records) if isinstance(model, Model) else tuple(model)
-    if len(models) != len(records) or any(each.names != models[0].names for each in models):
-        raise InputError("several logs need one model each, with the same free parameters")
-    x, y, t = np.mean([log.origin for log in records], axis=0).tolist()
-    return records, tuple(replace(each, pattern=each.pattern.about((x, y, t))) for each in models)
+def _about(logs: Sequence[FlightLog], models: Iterable[Model]) -> list[Model]:
+    """The models of logs, with phases relative to the middle of all of them."""
+    x, y, t = np.mean([log.origin for log in logs], axis=0).tolist()
+    return [replace(each, pattern=each.pattern.about((x, y, t))) for each in models]
 
 
 def whiteness(innovations: Array) -> float:

@@ -10,12 +10,12 @@ import pytest
 import sparsefit as sf
 from sparsefit.likelihood import diagnosis as room
 from sparsefit.likelihood.causes import FREEDOMS, WIND, Suspect
-from sparsefit.likelihood.diagnosis import diagnose, fitted, plausible
+from sparsefit.likelihood.diagnosis import diagnose, plausible
 from sparsefit.likelihood.gains import gains_of
 from sparsefit.likelihood.goodness import Constancy, _disturbances
 from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import whiteness
+from sparsefit.likelihood.posterior import measure, whiteness
 from sparsefit.likelihood.readings import FlightLog
 from tests.problems import fly
 from tests.worlds import GROUPS, draw
@@ -34,7 +34,7 @@ def posterior_of(flight, passes=15):
     height = FLOW.mean_velocity / (2 * np.pi / FLOW.length_scale)
     pattern = StreamPattern.of_waves("axis", k, [-height, height], [0.0, 0.0])
     log = FlightLog.of_flight(flight)
-    return [log], fitted([log], [Model(pattern, {"response_time": TAU})], passes=passes)
+    return [log], measure([log], [Model(pattern, {"response_time": TAU})], passes=passes)
 
 
 def test_the_score_of_a_cause_is_what_freeing_it_gains():
@@ -44,7 +44,7 @@ def test_the_score_of_a_cause_is_what_freeing_it_gains():
             continue
         names = cause.elements
         gain = gains_of(posterior, {name: names})[name, 0]
-        freed = fitted(logs, [posterior.model.free(*names)], posterior)
+        freed = measure(logs, [posterior.model.free(*names)], posterior)
         gained = 2 * (freed.log_likelihood - posterior.log_likelihood)
         assert gain.gain == pytest.approx(gained, abs=0.4 + 0.1 * gained), name
         bare = np.sqrt(np.diag(np.linalg.inv(freed.information)))
@@ -295,9 +295,9 @@ def test_a_search_that_leaves_the_proposed_flow_ends_there():
         seen.append(pattern)
         return False
 
-    away = fitted(logs, posterior.models, inside=inside)
+    away = measure(logs, posterior.models, inside=inside)
     assert (away.reason, len(seen)) == ("the search leads to another flow", 1)
-    assert fitted(logs, posterior.models, inside=lambda pattern: True).converged
+    assert measure(logs, posterior.models, inside=lambda pattern: True).converged
 
 
 def test_what_is_ambiguous_is_worked_by_hand():
@@ -344,7 +344,7 @@ def test_a_flow_is_as_sure_as_a_second_cause_leaves_it():
     assert len(diagnosis.suspects) == 2
     shifts = []
     for suspect in diagnosis.suspects:
-        alone = fitted(logs, [posterior.model.free(*FREEDOMS[suspect.free].elements)], posterior)
+        alone = measure(logs, [posterior.model.free(*FREEDOMS[suspect.free].elements)], posterior)
         speeds = [own.model.pattern.mean_velocity for own in (alone, diagnosis.posterior)]
         shifts.append(abs(speeds[0] / speeds[1] - 1.0))
     assert diagnosis.ambiguity[0] == pytest.approx(max(shifts), rel=0.02)

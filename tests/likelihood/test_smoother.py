@@ -58,6 +58,10 @@ def nearby(pattern=TRUE, share=0.004):
     return StreamPattern(pattern.shape, tuple(values), pattern.drifting)
 
 
+def measured(logs, model):
+    return measure(logs, [model] * len(logs), passes=30, rough=False)
+
+
 def halves(kicks, step, f, pace):
     """The variances of the kicks before and after a step, the first half's excess taken off."""
     excess = np.zeros(len(kicks))
@@ -77,7 +81,7 @@ def test_the_level_of_process_noise_is_told_from_a_log_without_any_other():
     log = FlightLog(step * np.arange(count + 1), states[:, :2], states[:, 2:], (0.0, 0.0))
     still = StreamPattern("several", (1.0, 0.5, 0.0, 0.0))
     model = Model(still, noisy(1e6, 0.5, 1e-9, 1e-7))
-    posterior = measure(log, model)
+    posterior = measured([log], model)
     assert posterior.value("acceleration") == pytest.approx(1.0, rel=0.04)
     free = len(posterior.names) + len(LEVELS)
     assert posterior.bic == pytest.approx(free * np.log(4004) - 2.0 * posterior.log_likelihood)
@@ -178,7 +182,7 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
     from scipy.optimize import least_squares
 
     log, states = flown(3, count=100)
-    posterior = measure(log, Model(nearby(), {"response_time": TAU}))
+    posterior = measured([log], Model(nearby(), {"response_time": TAU}))
     assert posterior.converged, posterior.reason
     size = np.repeat([posterior.value(f"{name}_noise") for name in ("position", "velocity")], 2)
 
@@ -199,7 +203,7 @@ def test_without_process_noise_it_is_the_least_squares_fit_of_the_trajectory():
 def test_levels_are_at_the_maximum():
     log, _ = flown(4, count=300)
     model = Model(nearby(), noisy(TAU, 0.1, 0.06, 0.17))
-    posterior = measure(log, model)
+    posterior = measured([log], model)
     levels = posterior.model.levels
     assert levels["position_noise"] == pytest.approx(0.05, rel=0.1)
     assert levels["velocity_noise"] == pytest.approx(0.2, rel=0.1)
@@ -285,7 +289,7 @@ def test_what_is_unknown_has_a_fifth_of_a_direction_without_information(length, 
 def test_parameters_that_a_log_cannot_tell_apart_are_named():
     log, _ = flown(5)
     model = Model(nearby(), {"response_time": TAU}).free("wind_x", "thrust_bias_x")
-    posterior = measure(log, model)
+    posterior = measured([log], model)
     assert not posterior.converged
     assert posterior.reason == "the log cannot tell thrust_bias_x from wind_x"
     with pytest.raises(InputError, match='did you mean "wind_x"'):
@@ -310,7 +314,7 @@ def test_logs_with_faults_are_measured(case):
         hit = rng.uniform(size=len(time)) < 0.02
         speeds[hit] += 5.0 * rng.choice([-1, 1], size=(hit.sum(), 2))
     faulty = FlightLog(time[rows], places[rows], speeds[rows], THRUST)
-    posterior = measure(faulty, Model(nearby(), {"response_time": TAU}))
+    posterior = measured([faulty], Model(nearby(), {"response_time": TAU}))
     assert posterior.converged, posterior.reason
     for name in ("mean_velocity", "length_scale"):
         true = dict(zip(TRUE.names, TRUE.values, strict=True))[name]
@@ -323,7 +327,7 @@ def test_logs_with_faults_are_measured(case):
 
 def test_the_bound_is_the_covariance_at_the_truth():
     log, states = flown(8)
-    posterior = measure(log, Model(TRUE, {"response_time": TAU}))
+    posterior = measured([log], Model(TRUE, {"response_time": TAU}))
     true = Model(TRUE, posterior.model.own)
     at_truth, bare = bound([log], [true], [states]), np.linalg.inv(posterior.information)
     np.testing.assert_allclose(np.diag(bare), np.diag(at_truth), rtol=0.01)
@@ -335,8 +339,8 @@ def test_the_bound_is_the_covariance_at_the_truth():
 def test_flights_share_the_flow_and_have_vehicles_of_their_own():
     logs = [flown(9)[0], flown(10, place=(2.0, 1.0))[0]]
     model = Model(nearby(), {"response_time": TAU}).free("response_time")
-    alone = [measure(log, model) for log in logs]
-    both = measure(logs, model)
+    alone = [measured([log], model) for log in logs]
+    both = measured(logs, model)
     assert both.converged, both.reason
     assert both.names == (*model.names, "response_time@2")
     assert both.models[0].pattern == both.models[1].pattern
@@ -370,7 +374,7 @@ def test_a_parameter_that_is_free_is_measured(name, value):
         late = round(value * 25)
         value = late / 25
         places, speeds, time = places[:-late], speeds[late:], time[late:]
-    posterior = measure(FlightLog(time, places, speeds, THRUST), model)
+    posterior = measured([FlightLog(time, places, speeds, THRUST)], model)
     assert posterior.converged, posterior.reason
     assert abs(posterior.value(name) - value) < 4.0 * posterior.error(name)
     assert posterior.error(name) < 0.02
@@ -381,7 +385,7 @@ def test_a_parameter_that_is_free_is_measured(name, value):
 def test_a_log_that_no_number_describes_is_an_answer_with_a_reason():
     log, _ = flown(13, count=60)
     wild = FlightLog(log.time, 1e170 * log.position, log.velocity, THRUST)
-    posterior = measure(wild, Model(nearby(), {"response_time": TAU}))
+    posterior = measured([wild], Model(nearby(), {"response_time": TAU}))
     assert not posterior.converged
     assert "cannot be raised" in posterior.reason
 
@@ -393,7 +397,7 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
     wander = np.cumsum(np.cumsum(kicks, axis=0), axis=0) * 0.04**1.5
     noisy = FlightLog(log.time, log.position + wander, log.velocity, THRUST)
     model = Model(nearby(), {"response_time": TAU})
-    still, moved = (measure(each, model) for each in (log, noisy))
+    still, moved = (measured([each], model) for each in (log, noisy))
     assert still.value("acceleration") < moved.value("acceleration")
     assert still.evidence == 0.0 < 1e4 < moved.evidence
     for posterior in (still, moved):
@@ -470,19 +474,19 @@ def test_waves_around_those_of_the_flow_widen_what_only_wanders_in_time():
         log = FlightLog(0.04 * np.arange(600), readings[:, :2], readings[:, 2:], THRUST)
         turbulence = Process("turbulence", ("wind_x", "wind_y"), 0.2, 2.0)
         model = Model(nearby(), {"response_time": TAU}, (turbulence,))
-        posteriors.append(measure(log, model))
+        posteriors.append(measured([log], model))
     assert posteriors[0].inflation > 1.8
     assert (
         posteriors[1].inflation < 1.5
     )  # in time alone: 1 but for chance, of half of chi^2 of 2 degrees
-    assert measure(log, Model(nearby(), {"response_time": TAU})).inflation == 1.0
-    varied = _varied(lambda models, near, _: measure(log, models, near), posteriors[1])
+    assert measured([log], Model(nearby(), {"response_time": TAU})).inflation == 1.0
+    varied = _varied(lambda models, near, _: measure([log], models, near), posteriors[1])
     assert varied.log_likelihood > posteriors[1].log_likelihood + 20.0
     own = np.array(varied.model.processes[0].mixing)
     np.testing.assert_allclose(own @ own.T, root @ root.T / 0.98, atol=0.25)
     parted = replace(turbulence, course=(1.0,) * 59)  # 55 parts of 11 rows are 59 of 600, rounded
-    again = measure(log, replace(model, processes=(parted,)))
-    varied = _varied(lambda models, near, _: measure(log, models, near), again)
+    again = measured([log], replace(model, processes=(parted,)))
+    varied = _varied(lambda models, near, _: measure([log], models, near), again)
     assert varied.log_likelihood > again.log_likelihood + 20.0  # and by direction, as above
 
 
