@@ -28,7 +28,6 @@ from sparsefit.likelihood.model import Model, Process
 from sparsefit.likelihood.pattern import StreamPattern
 from sparsefit.likelihood.posterior import SHORT, Posterior, measure
 from sparsefit.likelihood.readings import FlightLog
-from sparsefit.likelihood.smoother import Step
 
 FALSE_ALARM = 1e-4  # of a gain as large in a flight without a cause, over all groups
 FITTED = 3  # groups of the largest gains that are fitted for good
@@ -260,7 +259,7 @@ def scanned(start: Posterior, process: Process) -> tuple[float, tuple[Model, ...
     alone, values, tried = len(start.legs) == 1, list[list[float]](), [(0.0, start.models)]
     for share in SCANNED if alone else (*SCANNED, ABSENT):
         models = with_process(start.models, replace(process, level=share * process.level))
-        step = _pass(start, models)
+        step = start.under(models)
         values.append([own.value for own in step.passes])
         tried.append((2.0 * (step.reached - start.log_likelihood), models))
         if alone and tried[-1][0] < tried[-2][0]:  # there is one maximum
@@ -268,14 +267,8 @@ def scanned(start: Posterior, process: Process) -> tuple[float, tuple[Model, ...
     if not alone:
         best = np.where(np.isfinite(values), values, -np.inf).argmax(axis=0).tolist()
         models = tuple(tried[1 + level][1][flight] for flight, level in enumerate(best))
-        tried[1:] = [(2.0 * (_pass(start, models).reached - start.log_likelihood), models)]
+        tried[1:] = [(2.0 * (start.under(models).reached - start.log_likelihood), models)]
     return max(tried[1:], key=lambda own: own[0])
-
-
-def _pass(start: Posterior, models: Sequence[Model]) -> Step:
-    """The forward pass of models along the tracks of a posterior."""
-    pairs = zip(start.legs, models, strict=True)
-    return Step.of([leg.with_model(model) for leg, model in pairs], keep=False)
 
 
 def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
@@ -287,7 +280,7 @@ def _simplest(refit: Refit, posterior: Posterior) -> Posterior:
         fewer = len(pattern.values) - len(simple.values)
         if len(pattern.waves) == 2 and fewer > 0:
             models = [replace(model, pattern=simple) for model in posterior.models]
-            gain = _pass(posterior, models).reached - posterior.log_likelihood
+            gain = posterior.under(models).reached - posterior.log_likelihood
             least = posterior.log_likelihood - 6.0 * fewer  # BIC of 160,000 readings asks no more
             there = refit(models, posterior, least) if abs(gain) < LOST else None  # it has no more
             if there is not None and there.bic < posterior.bic:
@@ -307,7 +300,7 @@ def _tuned(refit: Refit, posterior: Posterior, name: str) -> Posterior:
             models += with_process([model], moved)
         return models
 
-    factor = max((TUNED, 1.0 / TUNED), key=lambda own: _pass(posterior, at(own)).reached)
+    factor = max((TUNED, 1.0 / TUNED), key=lambda own: posterior.under(at(own)).reached)
     for _ in range(3):
         least = posterior.log_likelihood + 0.5
         there = refit(at(factor), posterior, least)

@@ -56,9 +56,9 @@ def gains_of(
     """
     local, pattern = posterior.model.names, posterior.model.pattern
     members = dict.fromkeys(own for group in groups.values() for own in group)
-    names, score, information = posterior.scores([own for own in members if own not in local])
-    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    scaled, b = information / size[:, None] / size, score / size
+    step = posterior.under(posterior.models, [own for own in members if own not in local])
+    names, size = step.names, np.sqrt(np.maximum(np.diag(step.information), 1e-300))
+    scaled, b = step.information / size[:, None] / size, step.score / size
     base = [place for place, name in enumerate(names) if name.partition("@")[0] in local]
     along = np.linalg.lstsq(scaled[np.ix_(base, base)], scaled[base], rcond=1e-12)[0]
     efficient, free = b - along.T @ b[base], scaled - along.T @ scaled[base]
@@ -73,10 +73,10 @@ def gains_of(
             roots, axes = np.linalg.eigh(0.5 * (rest + rest.T))
             roots, axes = roots[roots > SEEN], axes[:, roots > SEEN]
             along_axes = axes.T @ efficient[added]
-            step = axes @ (along_axes / roots) / size[added]
+            change = axes @ (along_axes / roots) / size[added]
             error = np.sqrt(np.sum(axes**2 / roots, axis=1)) / size[added]
             own_flight = flight if f"{elements[0]}@2" in names else 0
-            moved = -(along[:, added] @ (step * size[added])) / size[base]
+            moved = -(along[:, added] @ (change * size[added])) / size[base]
             ahead = dict(zip((names[place] for place in base), moved.tolist(), strict=True))
             values = zip(pattern.names, pattern.values, strict=True)
             there = tuple(value + NUDGE * ahead.get(name, 0.0) for name, value in values)
@@ -84,7 +84,7 @@ def gains_of(
             widening = 1.0 if group in SHAPES else posterior.inflation  # shapes have a BIC
             gains[group, own_flight] = Gain(
                 float(np.sum(along_axes**2 / roots)) / widening,
-                step,
+                change,
                 error * math.sqrt(widening),
                 (speed / NUDGE, length / NUDGE),
             )

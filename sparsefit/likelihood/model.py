@@ -38,22 +38,16 @@ LEVELS = {
 class Process:
     """Elements that vary in time about their values, by processes of one level and one rate.
 
-    Args:
-        name: the name of the level.
-        elements: the names of the elements.
-        level: the stationary rms in the elements' unit; of a random walk, per sqrt(s).
-        rate: beta [1/s] of u' = -beta u + level sqrt(2 beta) white; 0: a random walk. For a wind,
-            the rate at the rms speed: gusts vary along the path (`Model.space`).
-        course: factors of the level's variance at equal parts of the log; none: it is constant.
-        mixing: A (e, e), for elements of the covariance A A' level^2; none: they are independent.
+    u' = -beta u + level sqrt(2 beta) white, or a random walk. For a wind, beta is the rate at the
+    rms speed: gusts vary along the path (`Model.space`).
     """
 
-    name: str
-    elements: tuple[str, ...]
-    level: float
-    rate: float = 0.0
-    course: tuple[float, ...] = ()
-    mixing: tuple[tuple[float, ...], ...] = ()
+    name: str  # of the level
+    elements: tuple[str, ...]  # their names
+    level: float  # the stationary rms in the elements' unit; of a random walk, per sqrt(s)
+    rate: float = 0.0  # beta [1/s]; 0: a random walk
+    course: tuple[float, ...] = ()  # factors of the level's variance at equal parts of the log
+    mixing: tuple[tuple[float, ...], ...] = ()  # A (e, e) of the elements' covariance A A' level^2
 
     @property
     def isotropy(self) -> float:
@@ -65,23 +59,16 @@ class Process:
 class Model:
     """A flow, a vehicle, instruments and disturbances.
 
-    Args:
-        pattern: the flow; its parameters are free but for those in `fixed`.
-        own: the values of elements and of `LEVELS` by name, where they differ from the defaults;
-            the response time must be among them.
-        processes: of the elements that vary with time.
-        freed: the names of the elements that are free.
-        fixed: the names of parameters of the pattern that are known.
-
-    Raises:
-        InputError: for an unknown name of an element or a level.
+    Raises InputError for an unknown name of an element or a level.
     """
 
-    pattern: StreamPattern
+    pattern: StreamPattern  # the flow; its parameters are free but for those in `fixed`
+    #: the values of elements and of `LEVELS` by name, where they differ from the defaults; the
+    #: response time must be among them
     own: Mapping[str, float]
-    processes: tuple[Process, ...] = ()
-    freed: tuple[str, ...] = ()
-    fixed: tuple[str, ...] = ()
+    processes: tuple[Process, ...] = ()  # of the elements that vary with time
+    freed: tuple[str, ...] = ()  # the names of the elements that are free
+    fixed: tuple[str, ...] = ()  # the names of parameters of the pattern that are known
 
     def __post_init__(self) -> None:
         """Check the names of the elements."""

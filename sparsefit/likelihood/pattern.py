@@ -37,25 +37,15 @@ WAVE = ("kx", "ky", "cosine", "sine", "frequency")  # the elementary quantities 
 
 @dataclass(frozen=True)
 class StreamPattern:
-    """A flow of waves in a shape.
+    """A flow of waves in a shape. Raises InputError if a value is not finite."""
 
-    Args:
-        shape: "axis", "square", "rectangle", "pair", "scales" or "several".
-        values: the parameters of the shape, in the order of `names`; lengths [m], velocities
-            [m/s], angles and phases [rad], wavevectors [rad/m], amplitudes of psi [m^2/s].
-        drifting: whether the pattern moves; its velocity stands last in `values`.
-        origin: (x0, y0, t0) [m, m, s], where the phases are counted from.
-        silent: wavevectors (kx, ky) [rad/m] of standing waves of amplitude 0 beside the others.
-
-    Raises:
-        InputError: if a value is not finite.
-    """
-
-    shape: str
+    shape: str  # of `SHAPES`
+    #: the parameters of the shape, in the order of `names`; lengths [m], velocities [m/s], angles
+    #: and phases [rad], wavevectors [rad/m], amplitudes of psi [m^2/s]
     values: tuple[float, ...]
-    drifting: bool = False
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    silent: tuple[tuple[float, ...], ...] = ()
+    drifting: bool = False  # whether the pattern moves; its velocity stands last in `values`
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # (x0, y0, t0) [m, m, s] of the phases
+    silent: tuple[tuple[float, ...], ...] = ()  # (kx, ky) [rad/m] of waves of amplitude 0 beside
 
     def __post_init__(self) -> None:
         """Check the values."""

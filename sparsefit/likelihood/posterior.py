@@ -44,23 +44,14 @@ PARTS = 8  # of a log, at whose ends parameters may change
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The maximum of the likelihood of logs under a model, and its covariance.
+    """The maximum of the likelihood of logs under a model, and its covariance."""
 
-    Args:
-        legs: each log with its model, levels and track at the optimum.
-        names: of the free parameters (p,); "tau@2" is that of the second log.
-        information: of these (p, p), levels at their values.
-        log_likelihood: at the optimum.
-        seen: the information of the logarithm of process noise's variance, the largest of a log.
-        reason: why the search did not end at the optimum; empty where it did.
-    """
-
-    legs: tuple[Leg, ...]
-    names: tuple[str, ...]
-    information: Array
-    log_likelihood: float
-    seen: float
-    reason: str
+    legs: tuple[Leg, ...]  # each log with its model, levels and track at the optimum
+    names: tuple[str, ...]  # of the free parameters (p,); "tau@2" is that of the second log
+    information: Array  # of these (p, p), levels at their values
+    log_likelihood: float  # at the optimum
+    seen: float  # the information of the logarithm of process noise's variance, most of all logs
+    reason: str  # why the search did not end at the optimum; empty where it did
 
     @property
     def converged(self) -> bool:
@@ -153,7 +144,7 @@ class Posterior:
         if not degrees or max(degrees) <= NOTHING:
             return 0.0
         fall = 0.5 * math.log(NOTHING / max(degrees))
-        return self.log_likelihood - at_level(self.legs, fall, "acceleration")[0]
+        return self.log_likelihood - self.at_level(fall, "acceleration")[0]
 
     @property
     def bic(self) -> float:
@@ -203,20 +194,20 @@ class Posterior:
         index = list(self.legs[place].model.levels).index(name)
         degrees = max(float(last.squares[index, 1]), 1e-12)
         if degrees > 1.0:
-            up, down = (at_level(self.legs, sign * NUDGE, name, place) for sign in (1, -1))
+            up, down = (self.at_level(sign * NUDGE, name, place) for sign in (1, -1))
             bend = -(up[0] + down[0] - 2.0 * self.log_likelihood) / NUDGE**2
             if bend > 4.0:  # a deviation of less than half: to second order
                 spread: Array = 0.5 * (up[1] + down[1] - 2.0 * bare)
                 return spread / NUDGE**2 / bend
         height = 0.5 * math.log(NOTHING / degrees)
         at_optimum = self.log_likelihood, bare
-        rungs = [at_level(self.legs, height, name, place) if height < 0.0 else at_optimum]
+        rungs = [self.at_level(height, name, place) if height < 0.0 else at_optimum]
         heights = [height]
         while len(rungs) < 40 and (
             heights[-1] < 0.0 or rungs[-1][0] > max(value for value, _ in rungs) - 4.0
         ):
             heights.append(heights[-1] + math.log(3.0))
-            rungs.append(at_level(self.legs, heights[-1], name, place))
+            rungs.append(self.at_level(heights[-1], name, place))
         likely = np.array([value for value, _ in rungs]) + 0.5 * np.array(heights)
         weights = np.exp(likely - likely.max())
         covariances = np.array([covariance for _, covariance in rungs])
@@ -241,11 +232,10 @@ class Posterior:
         if not len(silent):
             return 1.0
         more = replace(pattern, silent=tuple(map(tuple, silent.tolist())))
-        legs = [replace(leg, model=replace(leg.model, pattern=more)) for leg in self.legs]
         extra = [f"{part}_{len(waves) + j}" for j in range(1, 1 + len(silent))
                  for part in ("cosine", "sine")]  # fmt: skip
-        names, score, information = replace(self, legs=tuple(legs)).scores(extra)
-        own = np.isin(names, self.names)
+        step = self.under([replace(model, pattern=more) for model in self.models], extra)
+        score, information, own = step.score, step.information, np.isin(step.names, self.names)
         among, across = information[np.ix_(own, own)], information[np.ix_(own, ~own)]
         regression = inverted(among)[0] @ across
         pairs = (score[~own] - regression.T @ score[own]).reshape(-1, 2)
@@ -258,27 +248,22 @@ class Posterior:
         solved = np.linalg.solve(blocks[seen], pairs[seen, :, None])[..., 0]
         return max(0.5 * float(np.mean(np.sum(pairs[seen] * solved, axis=1))), 1.0)
 
-    def scores(self, extra: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
-        """Names, score (q,) and information (q, q) of the free parameters and of others."""
-        step = Step.of([replace(leg, last=None) for leg in self.legs], extra, keep=False)
-        return step.names, step.score, step.information
+    def under(self, models: Sequence[Model], extra: Sequence[str] = ()) -> Step:
+        """One pass of other models along these tracks; extra: names of parameters not free."""
+        pairs = zip(self.legs, models, strict=True)
+        return Step.of([leg.with_model(model) for leg, model in pairs], extra, keep=False)
 
+    def at_level(self, height: float, name: str, place: int | None = None) -> tuple[float, Array]:
+        """The log-likelihood and the covariance (p, p) about the optimum at exp(height) of a level.
 
-def at_level(
-    legs: tuple[Leg, ...], height: float, name: str, place: int | None = None
-) -> tuple[float, Array]:
-    """The log-likelihood, and the covariance (p, p) about the optimum, at exp(height) of a level.
-
-    place: the number of the log with the level, None: all. Parameters maximise the likelihood.
-    """
-    moved = tuple(
-        leg.with_model(leg.model.at({name: math.exp(height) * leg.model.levels[name]}))
-        if place in (None, number)
-        else leg
-        for number, leg in enumerate(legs)
-    )
-    step = Step.of(moved, keep=False)
-    return step.reached, step.covariance + np.outer(step.change, step.change)
+        place: the number of the log with the level, None: all. Parameters maximise the likelihood.
+        """
+        models = list(self.models)
+        for number in range(len(models)) if place is None else (place,):
+            level = math.exp(height) * models[number].levels[name]
+            models[number] = models[number].at({name: level})
+        step = self.under(models)
+        return step.reached, step.covariance + np.outer(step.change, step.change)
 
 
 def measure(

@@ -77,29 +77,17 @@ SMALL = 1e-30  # the complex step
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """A model as the passes read it; n = 4 + w states: x, y, v_x, v_y, the walkers.
+    """A model as the passes read it; n = 4 + w states: x, y, v_x, v_y, the walkers."""
 
-    Args:
-        elements: the values of the elements (e + 5 j,).
-        walkers: the elements (w,) that vary by the states 4 to n.
-        mixing: the derivatives (w, w) of these elements by the states.
-        rates: their rates beta (w,) [1/s].
-        chain: the derivatives (e + 5 j, p) of the elements by the parameters in question.
-        kicks: the variance per second that each level gives to each state (l, n).
-        spread: the variance that each level gives to each state at the start (l, n).
-        noise: the variance that each level gives to each channel (l, 4): position, velocity.
-        pace: factors of kicks and of rates in the step from a node (m, n + w).
-    """
-
-    elements: Array
-    walkers: IntArray
-    mixing: Array
-    rates: Array
-    chain: Array
-    kicks: Array
-    spread: Array
-    noise: Array
-    pace: Array
+    elements: Array  # their values (e + 5 j,)
+    walkers: IntArray  # the elements (w,) that vary by the states 4 to n
+    mixing: Array  # the derivatives (w, w) of these elements by the states
+    rates: Array  # their rates beta (w,) [1/s]
+    chain: Array  # the derivatives (e + 5 j, p) of the elements by the parameters in question
+    kicks: Array  # the variance per second that each level gives to each state (l, n)
+    spread: Array  # the variance that each level gives to each state at the start (l, n)
+    noise: Array  # the variance that each level gives to each channel (l, 4): position, velocity
+    pace: Array  # factors of kicks and of rates in the step from a node (m, n + w)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,25 +37,15 @@ DEPENDENT = 1e-11  # the least eigenvalue of the scaled information of an observ
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One pass of all logs, and the Gauss-Newton step from there.
+    """One pass of all logs, and the Gauss-Newton step from there."""
 
-    Args:
-        passes: the forward passes.
-        names: of the free parameters (p,); "tau@2" is that of the second log.
-        places: per log, the places of its parameters among all.
-        score: b (p,).
-        information: J (p, p).
-        covariance: its inverse, where it has one.
-        blind: the names of parameters that are not separately observable, if any.
-    """
-
-    passes: tuple[Pass, ...]
-    names: tuple[str, ...]
-    places: list[list[int]]
-    score: Array
-    information: Array
-    covariance: Array
-    blind: tuple[str, ...]
+    passes: tuple[Pass, ...]  # the forward passes
+    names: tuple[str, ...]  # of the free parameters (p,); "tau@2" is that of the second log
+    places: list[list[int]]  # per log, the places of its parameters among all
+    score: Array  # b (p,)
+    information: Array  # J (p, p)
+    covariance: Array  # its inverse, where it has one
+    blind: tuple[str, ...]  # the names of parameters that are not separately observable, if any
 
     @classmethod
     def of(cls, legs: Sequence[Leg], names: Sequence[str] = (), *, keep: bool = True) -> Step:

@@ -215,16 +215,16 @@ def test_freer_shapes_are_those_after_a_shape_or_itself_adrift(shape, group, sha
 )
 @pytest.mark.parametrize("lost", [10.0, 1e3])  # by a shape, in one pass along the tracks
 def test_simpler_shapes_that_are_near_are_fitted_first_where_they_stand(
-    shape, drift, simpler, lost, monkeypatch
+    shape, drift, simpler, lost
 ):
     tried = []
-    monkeypatch.setattr(room, "_pass", lambda *_: SimpleNamespace(reached=-lost))
 
     def refit(models, near, _least):
         tried.append((models[0].pattern.shape, models[0].pattern.drifting))
 
     model = Model(pattern_of(shape, drift=drift), {})
     posterior = SimpleNamespace(model=model, models=[model], log_likelihood=0.0)
+    posterior.under = lambda _: SimpleNamespace(reached=-lost)
     posterior.bic, likelier, worse = 0.0, SimpleNamespace(bic=-1.0), SimpleNamespace(bic=1.0)
     assert room._simplest(refit, posterior) is posterior
     assert tried == (simpler if lost < room.LOST else [])
@@ -234,21 +234,20 @@ def test_simpler_shapes_that_are_near_are_fitted_first_where_they_stand(
 
 
 @pytest.mark.parametrize("likelier", [room.TUNED, 1.0 / room.TUNED])
-def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(likelier, monkeypatch):
+def test_a_process_is_tuned_at_the_strength_that_it_has_at_high_frequencies(likelier):
     """2 r s^2 / (r^2 + omega^2) of a rate r and a level s: r s^2 stays, towards the likelier r."""
     walk, tried = Process("turbulence", ("wind_x", "wind_y"), 0.8, 0.25), []
 
-    def reached(_start, models):
+    def under(models):
         ratio = models[0].processes[0].rate / 0.25 / likelier
         return SimpleNamespace(reached=-abs(np.log(ratio)))
 
     def refit(models, _near, _least):
         tried.extend(models[0].processes)
 
-    monkeypatch.setattr(room, "_pass", reached)
     other = Process("swell", ("gain",), 0.1, 0.1)
     model = Model(pattern_of(), {}, (walk, other))
-    posterior = SimpleNamespace(models=[model], log_likelihood=0.0)
+    posterior = SimpleNamespace(models=[model], log_likelihood=0.0, under=under)
     assert room._tuned(refit, posterior, "turbulence") is posterior
     assert tried[1] == other
     assert tried[0].rate == pytest.approx(0.25 * likelier)

@@ -13,7 +13,7 @@ from sparsefit.likelihood import smoother as room
 from sparsefit.likelihood.diagnosis import _varied
 from sparsefit.likelihood.model import LEVELS, Model, Process
 from sparsefit.likelihood.pattern import StreamPattern
-from sparsefit.likelihood.posterior import Posterior, at_level, bound, measure
+from sparsefit.likelihood.posterior import Posterior, bound, measure
 from sparsefit.likelihood.readings import FlightLog
 from sparsefit.likelihood.smoother import LevelSteps, Step, _bounded, climbed, inverted
 from sparsefit.likelihood.trellis import Leg, longest_step
@@ -209,7 +209,7 @@ def test_levels_are_at_the_maximum():
     assert levels["velocity_noise"] == pytest.approx(0.2, rel=0.1)
     for name in ("position_noise", "velocity_noise"):
         for factor in (0.97, 1.03):
-            assert at_level(posterior.legs, np.log(factor), name)[0] < posterior.log_likelihood
+            assert posterior.at_level(np.log(factor), name)[0] < posterior.log_likelihood
     # Of the logarithm of a variance, 600 readings hold 600/2, less those of the unknowns.
     assert np.diag(Step.of(posterior.legs).levels[0])[1:] == pytest.approx([300.0] * 2, abs=6.0)
 
@@ -409,16 +409,15 @@ def test_weak_process_noise_is_found_above_nothing_and_integrated_out():
 
 
 @pytest.mark.parametrize(("bend", "rel"), [(3.0, 0.02), (5.0, 1e-9)])
-def test_the_spread_of_a_level_adds_its_part_to_the_covariance(bend, rel, monkeypatch):
+def test_the_spread_of_a_level_adds_its_part_to_the_covariance(bend, rel):
     """Of a normal likelihood of the level's logarithm; a quadratic in it is averaged."""
 
-    def rung(_legs, height, _name, _place):
+    def rung(height, _name, _place):
         return -0.5 * bend * height**2, np.array([[0.4 + 0.7 * height**2]])
 
-    monkeypatch.setattr("sparsefit.likelihood.posterior.at_level", rung)
     model = Model(TRUE, {"response_time": TAU})
     leg = SimpleNamespace(model=model, last=SimpleNamespace(squares=np.full((3, 2), 10.0)))
-    own = SimpleNamespace(legs=(leg,), log_likelihood=0.0)
+    own = SimpleNamespace(legs=(leg,), log_likelihood=0.0, at_level=rung)
     excess = Posterior._widened(own, 0, "position_noise", np.array([[0.4]]))
     mean, variance = 0.5 / bend, 1.0 / bend  # with the level itself as its prior weight
     expected = variance + (mean**2 if bend < 4.0 else 0.0)
@@ -428,21 +427,20 @@ def test_the_spread_of_a_level_adds_its_part_to_the_covariance(bend, rel, monkey
 def test_waves_around_those_of_the_flow_are_two_cells_from_them_and_their_opposites(monkeypatch):
     seen = []
 
-    def scores(posterior, extra):
-        seen.extend(posterior.model.pattern.silent)
-        return tuple(extra), np.zeros(len(extra)), np.eye(len(extra))
+    def under(information):
+        def step(_posterior, models, extra):
+            seen.extend(models[0].pattern.silent)
+            score, own = np.zeros(len(extra)), information * np.eye(len(extra))
+            return SimpleNamespace(names=tuple(extra), score=score, information=own)
 
-    monkeypatch.setattr(Posterior, "scores", scores)
-
-    def blind(names):
-        return np.zeros((len(names), len(names)))
+        return step
 
     walk = Process("turbulence", ("wind_x", "wind_y"), 0.5, 1.0)
     model = Model(TRUE, {"response_time": TAU}, (walk,))
     legs = (Leg(None, model, *[None] * 5, np.array([[0.0, 0.0], [10.0, 8.0]])),)
-    assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0
-    monkeypatch.setattr(Posterior, "scores", lambda _, own: (own, np.ones(len(own)), blind(own)))
-    assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0  # of no wave that is seen
+    for information in (1.0, 0.0):  # of no wave that is seen
+        monkeypatch.setattr(Posterior, "under", under(information))
+        assert Posterior(legs, (), np.eye(0), 0.0, 0.0, "").inflation == 1.0
     waves = TRUE.waves[:, :2]
     away = np.array(seen)[:, None] - np.concatenate([waves, -waves])
     cells = away * [10.0, 8.0] / (2.0 * np.pi)
