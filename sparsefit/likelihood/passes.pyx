@@ -286,17 +286,17 @@ def _room(states, columns, waves):
 
 
 def forward(
-    space, leg, Py_ssize_t first, Py_ssize_t end, last,
+    space, leg, Py_ssize_t first, Py_ssize_t end,
     double[:, ::1] rows, double[:, ::1] sums, double[:, ::1] stored,
 ):
     """Filter a block of nodes, as `reference.forward` does; rows and sums change in place."""
     cdef Vector elements = space.elements, rates = np.append(space.rates, 0.0), time = leg.time
     cdef Matrix kicks = space.kicks.T.copy(), noise = space.noise.T.copy(), pace = space.pace
     cdef Matrix push = leg.push, measured = leg.measured, weights = leg.weights, track = leg.track
-    cdef Matrix adjoint = track if last is None else last.adjoint
-    cdef Matrix scores = track if last is None else last.scores
     cdef Py_ssize_t w = rates.shape[0] - 1, n = 4 + w, width = rows.shape[1]
     cdef Py_ssize_t c = n + 1 + space.chain.shape[1], levels = width - c
+    cdef Matrix adjoint = leg.last.adjoint if levels else track
+    cdef Matrix scores = leg.last.scores if levels else track
     cdef Py_ssize_t waves = (elements.shape[0] - OWN) // 5
     places, states = np.nonzero(space.mixing)
     moved, columns = np.nonzero(space.chain)

@@ -191,7 +191,6 @@ def forward(
     leg: Any,
     first: int,
     end: int,
-    last: Smoothed | None,
     rows: Array,
     sums: Array,
     stored: Array | None,
@@ -200,9 +199,9 @@ def forward(
 
     Args:
         leg: the nodes, with s-bar (m, n) as its track (`trellis.Leg`).
-        last: the last backward pass, which the columns of the levels need; None: there are none.
         rows: P, delta and V (n, n + 1 + q) at the first node, changed in place; the columns are
-            those of the parameters (p,), then of the logarithms of the levels.
+            those of the parameters (p,), then of the logarithms of the levels, if any: these need
+            the leg's last backward pass.
         sums: (1 + q, 1 + q), added to.
         stored: written for the backward pass (end - first, `width`); None: not wanted.
 
@@ -211,6 +210,7 @@ def forward(
     """
     n, p = leg.track.shape[1], space.chain.shape[1]
     c, half = n + 1 + p, np.diag_indices(n)
+    last = leg.last if rows.shape[1] > c else None
     part = slice(first, min(end + 1, len(leg.time)))
     time, along, space = leg.time[part], leg.track[part], replace(space, pace=space.pace[part])
     ahead, matrices, inputs = transitions(space, time, leg.push[part], along, leg.time[0])

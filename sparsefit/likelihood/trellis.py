@@ -131,7 +131,7 @@ class Leg:
             end = min(first + block, m)
             if keep and end == m:
                 stored = np.empty((end - first, width(n, len(names))))
-            total += passes.forward(space, self, first, end, last, rows, sums, stored)
+            total += passes.forward(space, self, first, end, rows, sums, stored)
             course.append(sums[1:].copy())
         value = -0.5 * (float(sums[0, 0]) + total)
         score, information = -sums[1:, 0], sums[1:, 1:]
@@ -187,7 +187,7 @@ class Pass:
             if stored is None:  # the block once more, without the levels' columns
                 rows, rest = self.starts[number].copy(), np.zeros((1 + p, 1 + p))
                 stored = np.empty((end - first, width(n, p)))
-                passes.forward(space, leg, first, end, None, rows, rest, stored)
+                passes.forward(space, leg, first, end, rows, rest, stored)
             step = np.append(1.0, change)
             passes.backward(space, leg, first, end, step, stored, carried, result, sums[number])
             stored = None
