@@ -118,18 +118,12 @@ class Model:
 
         A name may also be that of a single quantity of a wave: "kx_2", "frequency_1".
         """
-        order, waves, names = list(ELEMENTS), len(self.pattern.waves), tuple(names)
-        columns = np.zeros((len(names), len(order) + 5 * waves))
-        for name, column in zip(names, columns, strict=True):
-            stem, _, number = name.rpartition("_")
-            if name in self.pattern.names:
-                place = self.pattern.names.index(name)
-                column[len(order) :] = self.pattern.jacobian[:, place]
-            elif name in ELEMENTS:
-                column[order.index(name)] = 1.0
-            else:
-                column[len(order) + 5 * (int(number) - 1) + WAVE.index(stem)] = 1.0
-        return columns.T
+        waves = range(1, 1 + len(self.pattern.waves))
+        order = (*ELEMENTS, *(f"{stem}_{number}" for number in waves for stem in WAVE))
+        columns = dict(zip(order, np.eye(len(order)), strict=True))
+        of_values = np.pad(self.pattern.jacobian, ((len(ELEMENTS), 0), (0, 0)))
+        columns |= dict(zip(self.pattern.names, of_values.T, strict=True))
+        return np.reshape([columns[name] for name in names], (-1, len(order))).T
 
     def at(self, values: Mapping[str, float]) -> Model:
         """Return the model with other values and levels, and the same free parameters."""
@@ -168,7 +162,7 @@ class Model:
             kicks[level, own] = 2.0 * rate * variance if rate else variance
             spread[level, own] = course[0] * variance if rate else 0.0
             if track is not None and rate and process.elements[0] in WIND:
-                speeds = self.pattern.speed_through(track[:, 2:4])
+                speeds = np.hypot(*(track[:, 2:4] - self.pattern.drift).T)
                 speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
                 squares = speeds**2 + variance + 1e-300
                 turning[:, own] = np.sqrt(squares / squares.mean())[:, None]

@@ -101,18 +101,14 @@ class Posterior:
         """The model of the first log."""
         return self.legs[0].model
 
-    @property
-    def innovations(self) -> tuple[Array, ...]:
-        """Standardised innovations (m, 4) of each log; NaN where no reading is used."""
-        scores = [leg.last.scores[:, 8:] if leg.last else np.nan for leg in self.legs]
-        pairs = zip(self.legs, scores, strict=True)
-        return tuple(np.where(leg.weights > 0.0, each, np.nan) for leg, each in pairs)
-
     @cached_property
     def whiteness(self) -> tuple[float, ...]:
         """The p-value of white innovations of each log, 1 of an exact one."""
-        pairs = zip(self.innovations, self.exact_logs, strict=True)
-        return tuple(1.0 if exact else whiteness(each) for each, exact in pairs)
+        scores = [leg.last.scores[:, 8:] if leg.last else np.nan for leg in self.legs]
+        return tuple(
+            1.0 if exact else whiteness(np.where(leg.weights > 0.0, each, np.nan))
+            for leg, each, exact in zip(self.legs, scores, self.exact_logs, strict=True)
+        )
 
     @cached_property
     def constancy(self) -> tuple[float, int, float]:
