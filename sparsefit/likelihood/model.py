@@ -162,7 +162,7 @@ class Model:
             kicks[level, own] = 2.0 * rate * variance if rate else variance
             spread[level, own] = course[0] * variance if rate else 0.0
             if track is not None and rate and process.elements[0] in WIND:
-                speeds = np.hypot(*(track[:, 2:4] - self.pattern.drift).T)
+                speeds = self.pattern.speed_through(track[:, 2:4])
                 speeds[:-1] = 0.5 * (speeds[:-1] + speeds[1:])
                 squares = speeds**2 + variance + 1e-300
                 turning[:, own] = np.sqrt(squares / squares.mean())[:, None]

@@ -107,6 +107,11 @@ class StreamPattern:
         """The velocity (c_x, c_y) [m/s] of the pattern, (0, 0) of a steady one."""
         return (self.values[-2], self.values[-1]) if self.drifting else (0.0, 0.0)
 
+    def speed_through(self, velocity: Array) -> Array:
+        """The speed (m,) relative to the pattern of a vehicle with the velocity (m, 2) [m/s]."""
+        speed: Array = np.hypot(*(velocity - self.drift).T)
+        return speed
+
     @cached_property
     def waves(self) -> Array:
         """The elementary quantities (j, 5): kx, ky [rad/m], a, b [m^2/s] and omega [rad/s]."""

@@ -24,13 +24,13 @@ class FlightLog:
     time: Array  # t (m,) [s], increasing
     position: Array  # (m, 2) [m], NaN where there is no reading
     velocity: Array  # (m, 2) [m/s], NaN likewise
-    thrust: Array  # the thrust acceleration [m/s^2], (2,) or one per row (m, 2)
+    push: Array  # the thrust acceleration [m/s^2], (2,) or one per row (m, 2)
     thrust_noise: float = 0.0  # white, of each row of the thrust [m/s^2]
 
     def __post_init__(self) -> None:
         """Give each array its full shape."""
         shape = np.shape(self.position)
-        for name in ("time", "position", "velocity", "thrust"):
+        for name in ("time", "position", "velocity", "push"):
             array = np.asarray(getattr(self, name), dtype=np.float64)
             full = np.broadcast_to(array, shape[:1] if name == "time" else shape)
             object.__setattr__(self, name, full)

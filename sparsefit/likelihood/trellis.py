@@ -42,7 +42,7 @@ class Leg:
     log: FlightLog
     model: Model  # at the values and levels reached; phases count from the origin of the nodes
     time: Array  # of the nodes (m,), from the origin [s]
-    push: Array  # the thrust acceleration (m, 2) [m/s^2]
+    push: Array  # of the log at the nodes (m, 2) [m/s^2]
     measured: Array  # positions and velocities from the origin (m, 4), 0 where missing
     weights: Array  # of these (m, 4): 1, or 0 where missing or left out
     seen: BoolArray  # whether there is a reading (m, 4)
@@ -86,7 +86,7 @@ class Leg:
             nodes = starts[np.searchsorted(times, own)]
             measured[nodes, channel : channel + 2] = np.nan_to_num(values, nan=0.0)
             weights[nodes, channel : channel + 2] = np.isfinite(values)
-        push = np.column_stack([np.interp(time, clock, each) for each in log.thrust.T])
+        push = np.column_stack([np.interp(time, clock, each) for each in log.push.T])
         seen, track = weights > 0.0, np.zeros((len(time), 4))
         for channel, read in enumerate(seen.T):
             if read.any():
