@@ -274,7 +274,7 @@ def measure(
 ) -> Posterior | None:
     """The maximum of the likelihood of logs through one flow, with the levels of all noise.
 
-    None if a log has gaps too long, or few rows of it do not hold the waves.
+    There is none where a log has gaps too long, or few rows of it do not hold the waves.
 
     Args:
         logs: one flight or several.
