@@ -73,7 +73,7 @@ class Model:
     def __post_init__(self) -> None:
         """Check the names of the elements."""
         for name in (*self.own, *self.freed):
-            if name not in ELEMENTS | LEVELS:
+            if name not in ELEMENTS and name not in LEVELS:
                 raise InputError(f"no parameter {name!r}{suggestion(name, self.values)}")
 
     @classmethod
@@ -118,12 +118,18 @@ class Model:
 
         A name may also be that of a single quantity of a wave: "kx_2", "frequency_1".
         """
-        waves = range(1, 1 + len(self.pattern.waves))
-        order = (*ELEMENTS, *(f"{stem}_{number}" for number in waves for stem in WAVE))
-        columns = dict(zip(order, np.eye(len(order)), strict=True))
-        of_values = np.pad(self.pattern.jacobian, ((len(ELEMENTS), 0), (0, 0)))
-        columns |= dict(zip(self.pattern.names, of_values.T, strict=True))
-        return np.reshape([columns[name] for name in names], (-1, len(order))).T
+        order, waves, names = list(ELEMENTS), len(self.pattern.waves), tuple(names)
+        columns = np.zeros((len(names), len(order) + 5 * waves))
+        for name, column in zip(names, columns, strict=True):
+            stem, _, number = name.rpartition("_")
+            if name in self.pattern.names:
+                place = self.pattern.names.index(name)
+                column[len(order) :] = self.pattern.jacobian[:, place]
+            elif name in ELEMENTS:
+                column[order.index(name)] = 1.0
+            else:
+                column[len(order) + 5 * (int(number) - 1) + WAVE.index(stem)] = 1.0
+        return columns.T
 
     def at(self, values: Mapping[str, float]) -> Model:
         """Return the model with other values and levels, and the same free parameters."""
