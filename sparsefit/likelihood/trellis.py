@@ -214,4 +214,6 @@ def longest_step(log: FlightLog, model: Model, rough: bool = False) -> float:
 def _widened(track: Array, model: Model) -> Array:
     """A track (m, n) with the states of a model, new ones 0."""
     states = 4 + sum(len(process.elements) for process in model.processes)
-    return np.pad(track[:, :states], ((0, 0), (0, max(states - track.shape[1], 0))))
+    if track.shape[1] >= states:
+        return np.ascontiguousarray(track[:, :states])
+    return np.pad(track, ((0, 0), (0, states - track.shape[1])))
