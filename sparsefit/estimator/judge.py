@@ -185,9 +185,13 @@ def doubts_of_flow(
                 f"{_of_flight(prepared, number)}{MORE}: the flow before t = {time:.3g} s seems "
                 f"another than after it (p = {chance:.1g})"
             )
-        gusts = (own for model in posterior.models for own in model.processes)
-        if min((own.isotropy for own in gusts), default=1.0) < ONE_WAY:
-            yield misfit(f"{MORE}: gusts of one direction, as of waves that no shape here has")
+        isotropy = [min([own.isotropy for own in model.processes], default=1.0)
+                    for model in posterior.models]  # fmt: skip
+        if min(isotropy) < ONE_WAY:
+            where = _of_flight(prepared, 1 + isotropy.index(min(isotropy)))
+            yield misfit(
+                f"{where}{MORE}: gusts of one direction, as of waves that no shape here has"
+            )
     strength = np.hypot(*result.waves[:, :2].T) * np.hypot(*result.waves[:, 2:4].T)
     roll = len(strength) == 2 and strength.min() < 0.5 * strength.max()
     if roll or (len(strength) != 2 and len(scales) < 2):

@@ -275,7 +275,7 @@ def test_times_are_those_of_whole_comparisons(own):
         ('[[problems]]\nfile = "no.npz"\n', "No such file"),
         ('[[problems]]\nfil = "no.npz"\n', 'did you mean "file"?'),
         (f'{CORRELATED}[[solvers]]\nname = "mine"\n', "is of no package: give its file"),
-        ('[[problems]]\nfile = "x.bin"\n', 'x.bin: a problem is read from .npz alone'),
+        ('[[problems]]\nfile = "x.bin"\n', "x.bin: a problem is read from .npz alone"),
         ('[[problems]]\ndataset = "iris"\nalter = "as it was"\n', 'did you mean "as it is"?'),
         ('[[problems]]\ndataset = "iris"\ncount = 2\n', 'key "count" unknown'),
         ("[[problems]]\n", "flights, file, dataset, generator; entry 1 has none"),
