@@ -95,6 +95,15 @@ def test_a_room_imports_only_rooms_above_it():
     assert not wrong
 
 
+def test_no_room_imports_a_name_from_the_list_of_public_names():
+    wrong = [
+        f"{name_of(path)}:{line} imports {module}"
+        for path, room, module, line in imports()
+        if room in ROOMS and room != "cli" and room_of(module) not in {*ROOMS, None}
+    ]
+    assert not wrong
+
+
 def test_solvers_peers_and_pickles_are_imported_by_those_who_are_for_them():
     homes = {
         **{solver: {"backends", "solvers"} for solver in SOLVERS},

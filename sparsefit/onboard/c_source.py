@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
+from importlib.metadata import version
 from importlib.resources import files
 from typing import Any, Literal
 
-from sparsefit import __version__
 from sparsefit.errors import InputError, one_line, one_of
 from sparsefit.estimator import Estimator
 from sparsefit.flight import Flight, simulate_flight
@@ -120,7 +120,7 @@ def package(
     lines, origin = costs(real, settings.candidates), one_line(source, 50).replace("*/", "")
     marks = {
         "#define SF_REAL double": f"#define SF_REAL {real}",
-        "@origin@": f"Made by sparsefit {__version__} from {origin}.",
+        "@origin@": f"Made by sparsefit {version('sparsefit')} from {origin}.",
         " * @costs@": "\n".join(f" * {line}" for line in lines),
         "@costs@": "\n".join(f"    {line}" for line in lines),
         "@tolerance@": f"{TOLERANCES[real]:g}",

@@ -20,13 +20,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias, TypeVar
 
-from sparsefit import Derivative, Estimator, Library, Readout, backends
+from sparsefit import backends
 from sparsefit.codec import Place, build, made, number, only, shown
 from sparsefit.errors import SparsefitError, is_real, suggestion
-from sparsefit.model import LengthScaleGrid
+from sparsefit.estimator import Estimator
+from sparsefit.model import LengthScaleGrid, Library, Readout
 from sparsefit.model.readout import UNNAMED
 from sparsefit.onboard import Stream
 from sparsefit.regression.backend import PathBackend
+from sparsefit.rows import Derivative
 from sparsefit.study.draw import KEYS as FLIGHT_KEYS
 from sparsefit.study.draw import FlightRules, Logs, read_flight_rules, read_logs
 from sparsefit.study.keys import BackendKeys, EstimatorKeys, FlightFile, ProtocolKeys, nearest

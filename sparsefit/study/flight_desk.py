@@ -25,13 +25,14 @@ from typing import Any
 
 import numpy as np
 
-from sparsefit import Estimator, Library, PointMassVehicle, backends
+from sparsefit import backends
 from sparsefit.errors import InputError, one_line
-from sparsefit.estimator.estimate import Estimate
+from sparsefit.estimator import Estimate, Estimator
 from sparsefit.flight import Flight, simulate_flight
 from sparsefit.flight.flow import Cells, CellularFlow
+from sparsefit.flight.vehicle import PointMassVehicle
 from sparsefit.likelihood import FlightLog, Model, StreamPattern, bound
-from sparsefit.model import LengthScaleGrid
+from sparsefit.model import LengthScaleGrid, Library
 from sparsefit.model.grid import extent_of
 from sparsefit.onboard import as_flown
 from sparsefit.regression import Fit, RegressionProblem

@@ -29,7 +29,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-import sparsefit
 from sparsefit.arrays import BoolArray
 from sparsefit.errors import InputError, suggestion
 from sparsefit.study.columns import Column, Outcome
@@ -50,8 +49,9 @@ NOT_COMPUTING = {"cli", "plot", "__main__.py", "sklearn.py", "pysindy.py"} | {
     f"study/{name}.py" for name in STUDY
 }
 COMPUTING = (  # packages
-    *("numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp", "scikit-learn", "celer"),
-    *("skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp", "daqp", "pysindy", "numba"),
+    *("sparsefit", "numpy", "scipy", "pandas", "pyarrow", "cvxpy", "clarabel", "osqp"),
+    *("scikit-learn", "celer", "skglm", "group-lasso", "spams-bin", "scs", "highspy", "piqp"),
+    *("daqp", "pysindy", "numba"),
 )
 DOCSTRING = re.compile(r'(\A|:(?:  #[^\n]*)?\n)( *)r?"""(?:[^"\\]|\\.|"(?!""))*"""\n')
 COMMENT = re.compile(r"""(?m)^\s*#.*\n|^\s*\n|  #[^"'\n]*$""")
@@ -223,14 +223,14 @@ class Plan(Protocol):
 
 def code_version(plugin: str = "") -> str:
     """The version of the code, `0.4.0+1a2b3c4d`, and of a plug-in's distribution."""
-    return f"{sparsefit.__version__}+{_digest()} {plugin}".rstrip()
+    return f"{metadata.version('sparsefit')}+{_digest()} {plugin}".rstrip()
 
 
 @cache
 def _digest() -> str:
     """The first 8 digits of the sha256 of `sources` without words, equal on every machine."""
     total = hashlib.sha256()
-    package = Path(sparsefit.__file__).parent
+    package = Path(__file__).parents[1]
     for path in sources():
         text = without_words(path.read_text(encoding="utf-8"))
         total.update(f"{path.relative_to(package).as_posix()}\0{text}\0".encode())
@@ -239,7 +239,7 @@ def _digest() -> str:
 
 def sources() -> Iterator[Path]:
     """The source files of the package that can change a number, in order."""
-    package = Path(sparsefit.__file__).parent
+    package = Path(__file__).parents[1]
     for path in sorted(package.rglob("*.py*")):
         within = path.relative_to(package)
         shows = NOT_COMPUTING & {within.parts[0], within.as_posix()}
@@ -259,9 +259,7 @@ def without_words(source: str) -> str:
 
 def versions() -> dict[str, str | None]:
     """Versions of sparsefit, Python and numerical packages; None for those not installed."""
-    numbers: dict[str, str | None] = {
-        "sparsefit": sparsefit.__version__, "python": platform.python_version()
-    }  # fmt: skip
+    numbers: dict[str, str | None] = {"python": platform.python_version()}
     for name in COMPUTING:
         numbers[name] = None
         with suppress(metadata.PackageNotFoundError):

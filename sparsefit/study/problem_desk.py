@@ -32,11 +32,11 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csc_array
 
-from sparsefit import RegressionProblem, backends
-from sparsefit import path as certified_path
+from sparsefit import backends
 from sparsefit.arrays import Array
 from sparsefit.backends import Solution
 from sparsefit.errors import one_line
+from sparsefit.regression import RegressionProblem
 from sparsefit.regression.backend import PenalisedBackend, numeric_fraction
 from sparsefit.regression.fit import certificates_of, points_of, solutions_of
 from sparsefit.solvers.penalised import PenalisedPath
@@ -155,7 +155,7 @@ def solve(
     stop = None if math.isnan(contender.tolerance) else contender.tolerance
     if contender.certified:
         data = (problem.theta, problem.target, problem.groups)
-        fits = certified_path(RegressionProblem.from_arrays(*data), backend, fractions).fits
+        fits = backends.path(RegressionProblem.from_arrays(*data), backend, fractions).fits
         return [Solution(fit.weights, solver_status=fit.status) for fit in fits]
     requested = fractions_of(backend, fractions)
     if contender.recipe is not None and isinstance(backend, PenalisedBackend):
@@ -283,7 +283,7 @@ class JudgeDesk:
         objective = canonical_json([solved.backend, dict(solved.settings)])
         if objective not in self._bounds:  # D_ref (p,) of the exact path, -inf of none
             exact = isinstance(backend, PenalisedPath)
-            fits = certified_path(problem, backend, fractions).fits if exact else ()
+            fits = backends.path(problem, backend, fractions).fits if exact else ()
             lower = [f.certificate.dual if f.certificate else -math.inf for f in fits]
             self._bounds[objective] = np.array(lower or [-math.inf] * len(fractions))
         primal, dual = np.array([(c.primal, c.dual) for c in proofs if c]).T

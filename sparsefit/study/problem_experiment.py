@@ -34,10 +34,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sparsefit import RegressionProblem, backends
+from sparsefit import backends
 from sparsefit.arrays import BoolArray
 from sparsefit.codec import Place, build, integer, made, only
 from sparsefit.errors import InputError, MissingExtra, SparsefitError, one_of
+from sparsefit.regression import RegressionProblem
 from sparsefit.regression.backend import PenalisedBackend
 from sparsefit.solvers.penalised import PenalisedPath
 from sparsefit.solvers.registry import REFEREE, Recipe, solver_names

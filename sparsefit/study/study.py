@@ -35,7 +35,7 @@ from sparsefit.study.store import Store, cases_table, read_cases
 from sparsefit.study.trials import Latency, measured, read_latencies, write_latencies
 
 if TYPE_CHECKING:
-    from sparsefit import Estimator
+    from sparsefit.estimator import Estimator
 
 
 def plan_of(document: Section, path: str) -> Plan:

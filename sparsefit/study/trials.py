@@ -25,14 +25,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-import sparsefit
 from sparsefit.arrays import Array
 from sparsefit.codec import finite_or_none
 from sparsefit.errors import InputError
 from sparsefit.study import measures
 from sparsefit.study.flight_experiment import FlightExperiment
 from sparsefit.study.measures import ROUNDING, Measure, ends, mean, resampled
-from sparsefit.study.plan import processor
+from sparsefit.study.plan import processor, versions
 from sparsefit.study.store import read_record
 from sparsefit.study.table import significant
 from sparsefit.study.worker import Answer, NoAnswerError, Worker, disturbed, memory_limit
@@ -294,7 +293,7 @@ def write_latencies(study_hash: str, folder: Path, measured: Mapping[str, Latenc
     """Write `latency.json` into the results folder, with the machine that was timed."""
     candidates = {name: asdict(latency) for name, latency in measured.items()}
     machine: dict[str, object] = {"processor": processor(), "system": platform.platform()}
-    machine |= {"load": os.getloadavg()[0], "sparsefit": sparsefit.__version__}
+    machine |= {"load": os.getloadavg()[0], "sparsefit": versions()["sparsefit"]}
     content = {"study_hash": study_hash, "machine": machine, "candidates": candidates}
     write_whole(folder / LATENCY, json.dumps(finite_or_none(content), indent=2) + "\n")
 
@@ -310,4 +309,4 @@ def read_latencies(study_hash: str, folder: Path) -> dict[str, Latency]:
             stored[name] = Latency(flights=flights, **numbers)
     except (AttributeError, ValueError, KeyError, TypeError, OverflowError):
         return {}
-    return stored if made == (study_hash, sparsefit.__version__) else {}
+    return stored if made == (study_hash, versions()["sparsefit"]) else {}
