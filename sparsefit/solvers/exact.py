@@ -9,8 +9,7 @@ most alpha. The solutions before the first violation are final. The violating bl
 largest violation first, and the path goes on from the last final solution. At most `FEW` columns
 are all in the working set, and Z'Z is formed once for all targets.
 
-Newton's method and descent over groups solve roughly first, which suffices to extend J, unless few
-of it are in use; sweeps over coefficients or clusters are exact sooner than they are taken twice.
+Iterative kernels solve roughly first, which suffices to extend J, unless few of it are in use.
 
 The square-root loss has the optimality conditions of the squares at the penalty t = a rho/y, rho
 the residual's rms (Sun and Zhang, Biometrika 99 (2012) 879-898): `_root_path` solves for t. Huber's
@@ -174,8 +173,7 @@ def _with_working_set(
                 by_gram = not stays or size <= FEW or design.csc.nnz >= 2**31
             working = working.extended(new, cross, by_gram)
         here = alphas[done : done + (settled or AHEAD)]
-        is_rough = name == "newton" or (name == "block descent" and rotations is not None)
-        is_rough = is_rough and not settled and size < k
+        is_rough = not settled and size < k and name not in ("homotopy", "variational")
         goal = DESCENDED if name == "block descent" else STOP
         batch = KERNELS[name](working, here, warm_starts, ROUGH if is_rough else goal)
         here, is_rough = here[: len(batch.weights)], is_rough and not batch.complete.all()

@@ -237,7 +237,7 @@ def cluster_descent(on: Columns, alphas: Array, warm_starts: WarmStarts, stop: f
             values = second + min((last - alpha) / (above - last), 1.0) * (second - first)
         for rounds in range(CLUSTERED):
             pull = on.cross - on.times(values)
-            gap = np.inf if met else relative_gap(on, alpha, values, pull)
+            gap = np.inf if met and stop < ROUGH else relative_gap(on, alpha, values, pull)
             if gap <= 0.5 * least:
                 least, since = gap, rounds
             if gap <= stop or rounds > since + CLUSTERED // 5:  # far from a solution
