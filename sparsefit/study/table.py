@@ -264,11 +264,21 @@ class Table:
         frame = pd.DataFrame(lines, columns=self.levels)
         if names:
             frame = frame.set_index(list(self.levels[:names])).rename_axis(self.heads[:names])
-        printed = (
-            frame.to_string(index=bool(names), line_width=width - 3) if self.rows else "no rows"
-        )
+
+        # Further blocks of to_string's own lose the heading of their group.
+        def block(start: int, end: int) -> list[str]:
+            printed = frame.iloc[:, start:end].to_string(index=bool(names))
+            return list(map(str.rstrip, printed.split("\n")))
+
+        blocks, start, count = list[str](), 0, len(self.columns) - names if self.rows else 0
+        while start < count:
+            end = start + 1
+            while end < count and max(map(len, block(start, end + 1))) <= width:
+                end += 1
+            blocks.append("\n".join(block(start, end)))
+            start = end
         notes = [wrapped(note, width) for note in self.remarks(most)]
-        return "\n\n".join([self.title, printed, *notes]) + "\n"
+        return "\n\n".join([self.title, *(blocks or ["no rows"]), *notes]) + "\n"
 
     def __str__(self) -> str:
         return self.to_text()

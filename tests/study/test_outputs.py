@@ -204,6 +204,9 @@ class TestText:
         text = long.to_text(40)
         assert text.count("b") == 120  # nothing is cut
         assert max(map(len, text.splitlines())) <= 40
+        parts = [Column(f"part {n}", group="error") for n in range(6)]
+        wide = Table("", (Column("name"), *parts), [("a", 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)])
+        assert wide.to_text(40).count("error") == 2  # a block each, with its heading
         assert self.table.record()["rows"][1] == ["[a] \\^~_$", None, None]
 
 
