@@ -69,6 +69,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 141
     except SparsefitError as error:
         code, message = 2 if isinstance(error, InputError | MissingExtra) else 1, str(error)
+    except ModuleNotFoundError as error:  # of sparsefit itself, too, where it was only unpacked
+        code, message = 2, f"{error}: install sparsefit and what it needs (pip install .)"
     except UnicodeDecodeError:
         code, message = 2, "a file is not UTF-8 text; save it as UTF-8"
     except MemoryError:

@@ -236,6 +236,7 @@ def test_estimate_refuses_an_option(capsys, flight, options, words):
     ("error", "code", "words"),
     [
         (MemoryError, 2, "sparsefit: error: not enough memory; use fewer length scales or samples"),
+        (ModuleNotFoundError("no finufft"), 2, "sparsefit: error: no finufft: install"),
         (KeyboardInterrupt, 130, "stopped"),
     ],
 )
